@@ -86,7 +86,7 @@ def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
     assert box.orders("mode") == [1, 0, 1, 0]
     ends_by(DeviceError, "stopped", after=[robot.stop])
     assert_braked(box)
-    ends_by(ZeroDivisionError, "", on_tick=lambda tick: tick.time < 0.4 or 1 / 0)
+    ends_by(ZeroDivisionError, "division", on_tick=lambda tick: tick.time < 0.4 or 1 / 0)
     assert_braked(box)
     assert robot.state().fault is None
     ends_by(DeviceError, "C31: Collision.*clear it in UFACTORY Studio", 0.1, [box.fail, [31]])

@@ -25,7 +25,7 @@ def transform(rotvec_degrees, t):
     return rigid(Rotation.from_rotvec(rotvec_degrees, degrees=True).as_matrix(), t)
 
 
-def render(camera, T_camera_board, board=BOARD, noise=0.0, seed=0):
+def render(camera, T_camera_board, board=BOARD):
     """A grey picture of the board: its printed picture, warped by the pose's homography."""
     texel, border = 100, 50  # a square's side and the border in the printed picture
     size = [n * texel + 2 * border for n in (board.squares_x, board.squares_y)]
@@ -38,37 +38,33 @@ def render(camera, T_camera_board, board=BOARD, noise=0.0, seed=0):
     size = FINER * camera.width, FINER * camera.height
     large = cv2.warpPerspective(printed, H, size, flags=cv2.INTER_LINEAR, borderValue=(90,))
     picture = large.reshape(camera.height, FINER, camera.width, FINER).mean(axis=(1, 3))
-    picture += np.random.default_rng(seed).normal(0.0, noise, picture.shape)
-    return np.clip(np.round(picture), 0, 255).astype(np.uint8)
+    return np.round(picture).astype(np.uint8)
 
 
-def robot_poses(camera, tilts, distance=0.8, seed=0):
-    """T_world_gripper that show the board, tilted about its centre, 0.8 m from the camera."""
-    rng = np.random.default_rng(seed)
-    T_gripper_board = transform([10, -5, 30], [-0.1, 0.04, 0.12])
+def robot_poses(camera, tilts):
+    """T_world_gripper that show the board, tilted about its centre, 0.8 m from the camera; its
+    poses before the camera; and how it is held."""
+    rng, T_gripper_board = np.random.default_rng(0), transform([10, -5, 30], [-0.1, 0.04, 0.12])
     middle = np.array([BOARD.squares_x, BOARD.squares_y, 0]) * BOARD.square / 2
-    poses, boards = [], []
-    for tilt in tilts:
-        T = transform(tilt, [0, 0, 0])
-        place = [*rng.uniform(-0.1, 0.1, 2), distance + rng.uniform(-0.08, 0.08)]
-        T[:3, 3] = place - T[:3, :3] @ middle
-        boards.append(T)
-        poses.append(camera.T_world_camera @ T @ np.linalg.inv(T_gripper_board))
-    return poses, boards, T_gripper_board
+    places = [rng.uniform([-0.1, -0.1, 0.72], [0.1, 0.1, 0.88]) for _ in tilts]
+    turns = [transform(tilt, [0, 0, 0])[:3, :3] for tilt in tilts]
+    boards = [rigid(R, place - R @ middle) for R, place in zip(turns, places, strict=True)]
+    hand = np.linalg.inv(T_gripper_board)
+    return [camera.T_world_camera @ T @ hand for T in boards], boards, T_gripper_board
 
 
 def good_tilts(n=12, seed=1):
     return np.random.default_rng(seed).uniform(-30, 30, (n, 3))
 
 
-def write_pictures(folder, camera, tilts, noise=0.0, board=BOARD):
+def write_pictures(folder, camera, tilts, board=BOARD):
     poses, boards, _ = robot_poses(camera, tilts)
     folder.mkdir(parents=True)
     rows = ["picture,x,y,z,qx,qy,qz,qw"]
     for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
-        Image.fromarray(render(camera, T, board, noise, seed=k)).save(folder / f"{k}.png")
-        quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        rows.append(",".join([f"{k}.png", *(repr(float(x)) for x in (*pose[:3, 3], *quaternion))]))
+        Image.fromarray(render(camera, T, board)).save(folder / f"{k}.png")
+        row = [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]
+        rows.append(",".join([f"{k}.png", *(repr(float(x)) for x in row)]))
     (folder / "poses.csv").write_text("\n".join(rows) + "\n")
     (folder / "board.toml").write_text(
         f"squares_x = 7\nsquares_y = {board.squares_y}\nsquare = 0.05\nmarker = 0.037\n"
@@ -124,8 +120,7 @@ def exact_views(camera, tilts, pixel_noise=0.0, seed=0):
     points = np.asarray(BOARD.opencv().getChessboardCorners(), float)
     views = []
     for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
-        rotation = Rotation.from_matrix(T[:3, :3]).as_rotvec()
-        distortion = np.array(camera.distortion)
+        rotation, distortion = cv2.Rodrigues(T[:3, :3])[0], np.array(camera.distortion)
         pixels = cv2.projectPoints(points, rotation, T[:3, 3], camera.K, distortion)[0]
         noisy = pixels.reshape(-1, 2) + rng.normal(0.0, pixel_noise, (len(points), 2))
         views.append(BoardView(f"picture {k}", points, noisy, pose))

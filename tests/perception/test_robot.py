@@ -23,15 +23,15 @@ def at_rest(q, opening=None):
 
 
 def surface(shape, c, n, rng):
-    """[n, 3] points on a capsule of an arm's shape."""
-    a, b = shape.start[c], shape.end[c]
+    """[2 n, 3] points on a capsule of an arm's shape: of its ends and its side."""
+    a, along = shape.start[c], shape.end[c] - shape.start[c]
     d = rng.normal(size=(n, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    ends = np.where((d @ (b - a))[:, None] > 0, b, a)
-    side = d - np.multiply.outer(d @ (b - a), b - a) / max((b - a) @ (b - a), 1e-12)
-    side *= shape.radius[c] / np.linalg.norm(side, axis=1, keepdims=True)
-    around = a + rng.uniform(size=(n, 1)) * (b - a) + side
-    return np.concatenate([ends + shape.radius[c] * d, around])
+    ends = a + (d @ along > 0)[:, None] * along
+    side = d - np.outer(d @ along, along) / max(along @ along, 1e-12)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    around = a + rng.uniform(size=(n, 1)) * along
+    return np.concatenate([ends + shape.radius[c] * d, around + shape.radius[c] * side])
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,12 @@ from gendom.perception import RealSenseRecording, RosSettings, read_ros_bag
 
 pytest.importorskip("rosbags", reason="needs rosbags: the extra ros")
 
+from rosbags.typesys import get_types_from_msg
+
 import ros_messages
 from ros_messages import START, cloud, header, made, pose, tf, write_bag
 
+POINTS = "/camera/points"
 PLUGINS = ("MCAP", "SQLITE3", "ROS1", "ROS1 LZ4", "ROS1 BZ2")
 NONE = np.zeros((3, 3))
 CAMERA, AT = Rotation.from_euler("xyz", [2.0, 0.1, -0.7]), np.array([0.4, -0.3, 0.8])
@@ -67,11 +70,10 @@ def bag(tmp_path):
     return write
 
 
-def read(path, gripper="tool", **settings):
-    where = path if path.is_dir() else path.parent
-    box = settings.pop("workspace", None)
+def read(path, gripper="tool", workspace=None, on_warning=print, **settings):
+    description = (path if path.is_dir() else path.parent) / "object.toml"
     settings = RosSettings(gripper=gripper, **settings)
-    return read_ros_bag(path, where / "object.toml", settings, workspace=box)
+    return read_ros_bag(path, description, settings, workspace=workspace, on_warning=on_warning)
 
 
 def check(recording):
@@ -90,21 +92,18 @@ def test_a_lift(bag, plugin, gripper):
     assert found.extra["world"] == "world" and found.extra["started"] == START + 0.5
 
 
-@pytest.mark.parametrize(
-    ("changes", "row_step"),
-    [
-        ({"order": ">"}, None),
-        ({"height": 4}, None),
-        *(({"height": h, "ends": b""}, step) for h in (1, 4) for step in ("none", "whole")),
-    ],
-)
-def test_other_layouts_of_clouds(bag, changes, row_step):
-    """Also with rows whose length is left 0 or that of the whole cloud."""
-    rows = messages(**changes)
-    if row_step is not None:
-        for k, (topic, m) in enumerate(rows):
-            if topic == "/camera/points":
-                rows[k] = topic, replace(m, row_step=0 if row_step == "none" else len(m.data))
+@pytest.mark.parametrize("changes", [{"order": ">"}, {"height": 4}])
+def test_other_layouts_of_clouds(bag, changes):
+    check(read(bag(messages(**changes))))
+
+
+@pytest.mark.parametrize("height", [1, 4])
+@pytest.mark.parametrize("step", ["none", "whole"])
+def test_rows_whose_length_is_left_0_or_that_of_the_whole_cloud(bag, height, step):
+    rows = messages(height=height, ends=b"")
+    for k, (topic, m) in enumerate(rows):
+        if topic == POINTS:
+            rows[k] = topic, replace(m, row_step=0 if step == "none" else len(m.data))
     check(read(bag(rows)))
 
 
@@ -141,9 +140,8 @@ def test_the_world_is_any_frame_or_without_tf_the_clouds(bag):
 
 def test_clouds_at_other_times_are_left_out(bag):
     faults = []
-    path = bag([*messages(), ("/camera/points", cloud(5.0, "camera", seen(CLOUDS[0])))])
-    settings = RosSettings(gripper="tool")
-    check(read_ros_bag(path, path / "object.toml", settings, on_warning=faults.append))
+    path = bag([*messages(), (POINTS, cloud(5.0, "camera", seen(CLOUDS[0])))])
+    check(read(path, on_warning=faults.append))
     assert str(faults[0]).startswith("/camera/points: 1 of 4 clouds lie outside of the time")
 
 
@@ -152,7 +150,7 @@ def last(change):
     return lambda rows: [*rows[:-1], (rows[-1][0], change(rows[-1][1]))]
 
 
-POINTS, HELD, NOT_SAID = "/camera/points", "/tool_pose", "TF does not say where "
+HELD, NOT_SAID = "/tool_pose", "TF does not say where "
 CLOUD = f"{POINTS}: frame 2: a cloud has"
 LACKING = [
     (without(POINTS), {}, "has no topic of sensor_msgs/msg/PointCloud2; record clouds, or depth"),
@@ -231,45 +229,28 @@ def test_clouds_of_several_cameras_are_put_together(bag):
         own = points[10:] - np.array([0.1, 0.2, 0.3])
         rows.append(("/other/points", cloud(time + 0.01, "other", own)))
     rows.append(("/other/points", cloud(1.8, "other", seen(CLOUDS[0]))))
-    path, faults = bag(rows), []
-    found = read_ros_bag(
-        path, path / "object.toml", RosSettings(gripper="tool"), on_warning=faults.append
-    )
+    faults = []
+    found = read(bag(rows), on_warning=faults.append)
     for t, points in enumerate(CLOUDS):
         np.testing.assert_allclose(found.frame(t), points, atol=1e-6)
     assert "1 of 4 frames match no frame of the others" in str(faults[0])
     assert found.gripper_source == "measured"
 
 
-FRANKA = "std_msgs/Header header\nfloat64[16] O_T_EE\n"
-
-
-def test_the_gripper_of_a_franka(tmp_path):
+def test_the_gripper_of_a_franka(bag):
     """Its driver for ROS 1 records the hand's pose in the base's axes, columns first."""
-    from rosbags import rosbag1
-    from rosbags.typesys import get_types_from_msg
-
-    kind, store = "franka_msgs/msg/FrankaState", ros_messages.STORE1
-    if kind not in store.types:
-        store.register(get_types_from_msg(FRANKA, kind))
-    (tmp_path / "object.toml").write_text(OBJECT)
-    with rosbag1.Writer(tmp_path / "x.bag") as writer:
-        known = {}
-        rows = [row for row in messages() if row[0] in ("/tf_static", "/camera/points")]
-        for time in (0.0, 0.8, 2.0):
-            T = np.eye(4)
-            T[:3, 3] = 0.4, 0.0, 0.01 + 0.04 * (time - 0.5)
-            of = store.types["std_msgs/msg/Header"](
-                0, made("std_msgs/Header", header(time, "")).stamp, ""
-            )
-            rows.append(("/franka", store.types[kind](of, T.T.ravel())))
-        for n, (topic, message) in enumerate(rows):
-            own = message if topic == "/franka" else ros_messages.of_ros1(message)
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, own.__msgtype__, typestore=store)
-            data = store.serialize_ros1(own, own.__msgtype__)
-            writer.write(known[topic], START * 10**9 + n, data)
-    check(read(tmp_path / "x.bag", "/franka"))
+    kind = "franka_msgs/msg/FrankaState"
+    if kind not in ros_messages.STORE1.types:
+        types = get_types_from_msg("std_msgs/Header header\nfloat64[16] O_T_EE\n", kind)
+        ros_messages.STORE1.register(types)
+        ros_messages.STORE.register(types)
+    rows = [row for row in messages() if row[0] in ("/tf_static", POINTS)]
+    for time in (0.0, 0.8, 2.0):
+        T = np.eye(4)
+        T[:3, 3] = 0.4, 0.0, 0.01 + 0.04 * (time - 0.5)
+        of = {"header": header(time, ""), "O_T_EE": T.T.ravel()}
+        rows.append(("/franka", made("franka_msgs/FrankaState", of)))
+    check(read(bag(rows, "ROS1"), "/franka"))
 
 
 @pytest.mark.parametrize("codec", ["zstd", "lz4"])

@@ -211,7 +211,7 @@ def test_a_camera_toml_names_the_file(tmp_path, form):
     stated = 'T_world_camera = "calibration.txt"\n'
     file.write_text(file.read_text().partition("T_world_camera")[0] + stated)
     poses.write_text(text)
-    np.testing.assert_allclose(read_camera(file).calibrated(), camera.T_world_camera, atol=1e-7)
+    np.testing.assert_allclose(read_camera(file).calibrated(), camera.calibrated(), atol=1e-7)
     link = text.replace("left_optical_frame", "left_link")
     in_hand = calibration(form, camera, "left_optical_frame", "tool0")
     for change, said in (

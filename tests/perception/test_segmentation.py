@@ -132,12 +132,11 @@ def masked(world, tmp_path_factory):
     ropes = world.write_lift(folder / "lift", frames=3, things=lambda t: hands)
     for camera in world.pair():
         (folder / "masks" / camera.name).mkdir(parents=True)
-        origin, rays = camera.position, camera.rays() @ camera.T_world_camera[:3, :3].T
-        hand = np.min([thing.hit(origin, rays) for thing in hands], 0)
+        rays = camera.position, camera.rays() @ camera.T_world_camera[:3, :3].T
+        hand = np.min([thing.hit(*rays) for thing in hands], 0)
         for t, rope in enumerate(ropes):
-            hit = (rope.hit(origin, rays) < hand).reshape(240, 320)
-            path = folder / "masks" / camera.name / f"{t:06d}.png"
-            Image.fromarray(hit * np.uint8(7)).save(path)
+            mask = 7 * (rope.hit(*rays) < hand).reshape(240, 320).astype(np.uint8)
+            Image.fromarray(mask).save(folder / "masks" / camera.name / f"{t:06d}.png")
     return folder, ropes
 
 

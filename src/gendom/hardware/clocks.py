@@ -21,6 +21,7 @@ from gendom.arrays import Array, placed
 from gendom.errors import DeviceError
 from gendom.files import write_json
 from gendom.perception import Camera, Frame, FrameSource, read_cameras
+from gendom.perception.frames import interpolate
 from gendom.reading import read_json
 from gendom.robot import Arm, read_joints, tcp_pose
 
@@ -76,14 +77,10 @@ def _seen(source: FrameSource, time: Array, tool: Array, arm: Arm) -> list[_Seen
     rays = (camera.rays() @ camera.calibrated()[:3, :3].T).reshape(camera.height, camera.width, 3)
     for frame in frames:
         T = tool[np.abs(time - frame.time).argmin()].copy()
-        T[:3, 3] = _between(time, tool, frame.time)
-        moved = _between(time, tool, frame.time + _SPAN) - _between(time, tool, frame.time - _SPAN)
-        seen.append((T, moved / (2.0 * _SPAN), *_body(camera, rays, frame, T, arm)))
+        moments = frame.time - _SPAN, frame.time, frame.time + _SPAN
+        before, T[:3, 3], after = (interpolate(time, tool[:, :3, 3], moment) for moment in moments)
+        seen.append((T, (after - before) / (2.0 * _SPAN), *_body(camera, rays, frame, T, arm)))
     return seen
-
-
-def _between(time: Array, tool: Array, moment: float) -> Array:
-    return np.array([np.interp(moment, time, tool[:, k, 3]) for k in range(3)])
 
 
 def _body(camera: Camera, rays: Array, frame: Frame, T: Array, arm: Arm) -> tuple[Array, Array]:

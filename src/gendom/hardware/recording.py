@@ -103,8 +103,7 @@ def _check(folder: Path, cameras: Sequence[DepthCamera], seconds: float) -> None
 def _stop_all(cameras: Sequence[DepthCamera]) -> dict[str, Recorded]:
     """Stop recordings at the same time: each then waits for its disk."""
     with ThreadPoolExecutor(max(1, len(cameras))) as pool:
-        stopped = pool.map(lambda camera: camera.stop_recording(), cameras)
-        return dict(zip((camera.name for camera in cameras), stopped, strict=True))
+        return dict(pool.map(lambda camera: (camera.name, camera.stop_recording()), cameras))
 
 
 @contextmanager

@@ -135,12 +135,8 @@ class TablePlane:
     def levelled(self, x: float, y: float, height: float) -> Array:
         """The motion [4, 4] that makes the plane level and brings its point at a place [m] to a
         height [m], by the smallest turn."""
-        place = np.array([x, y, self.height(x, y)])
-        axis = np.cross(self.normal, [0.0, 0.0, 1.0])
-        sine, cosine = np.linalg.norm(axis), self.normal[2]
-        turn = axis * (np.arctan2(sine, cosine) / max(sine, 1e-12))
-        R = Rotation.from_rotvec(turn).as_matrix()
-        return rigid(R, [x, y, height] - R @ place)
+        R = Rotation.align_vectors([0.0, 0.0, 1.0], self.normal)[0].as_matrix()
+        return rigid(R, [x, y, height] - R @ [x, y, self.height(x, y)])
 
 
 def fit_table(
@@ -533,9 +529,7 @@ def _voxel_means(
     cells, place = unique_cells(points, VOXEL)
     n = len(cells)
     count = np.bincount(place, minlength=n)
-    means = np.empty((n, 3), np.float32)
-    for axis in range(3):
-        means[:, axis] = np.bincount(place, points[:, axis], n) / count
+    means = np.stack([np.bincount(place, x, n) / count for x in points.T], 1, dtype=np.float32)
     united = np.zeros(n, np.uint8)
     for bit in np.unique(bits):
         united[place[bits == bit]] |= bit

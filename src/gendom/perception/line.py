@@ -114,12 +114,10 @@ class _Ways:
         self.nodes, self.before = nodes, reach / 2.0
         """[m] from the end to the first node: an average there lies half its reach before it."""
         self.seen = np.zeros(0)
-        """[m] length of the way to each node, by chords, of which noise makes less than of steps;
-        none if there are too few nodes or too many."""
+        """[m] length of the way to each node [m]; empty if there are too few nodes or too many."""
         if not 1 < len(nodes) <= _MOST_NODES:
             return
-        self.steps = cdist(nodes, nodes)
-        """[m, m] between nodes [m]."""
+        self.steps = cdist(nodes, nodes)  # [m, m] [m]
         costs = (self.steps / _NODE) ** power + 1e-8  # also between nodes at one place
         self._costs = csr_array(costs)
         if held is None:
@@ -130,7 +128,7 @@ class _Ways:
         self.seen = self.before + self._along(start, 2.0 * reach) + reach / 2.0
 
     def _along(self, start: int, chord: float) -> Array:
-        """[m] lengths of the ways from a node, by chords of this length and more [m]."""
+        """[m] lengths of the ways from a node [m], by chords, which noise hardly lengthens."""
         cost, self._before = dijkstra(self._costs, indices=start, return_predecessors=True)
         before = np.maximum(self._before, 0).tolist()
         along, since = [0.0] * len(cost), [start] * len(cost)

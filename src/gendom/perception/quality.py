@@ -66,9 +66,8 @@ def sides_apart(
 
 
 def _thinned(points: np.ndarray) -> np.ndarray:
-    if len(points) <= _MAX_POINTS:
-        return points
-    return points[np.random.default_rng(0).choice(len(points), _MAX_POINTS, replace=False)]
+    few = min(len(points), _MAX_POINTS)
+    return points[np.random.default_rng(0).choice(len(points), few, replace=False)]
 
 
 def own_area(description: ObjectDescription, wider: float = 0.0) -> float:
@@ -88,14 +87,8 @@ def times_own_area(points: npt.ArrayLike, description: ObjectDescription) -> flo
     """Area that a cloud [n, 3] [m] covers as seen along x, y or z, at most, over the object's own
     area, which no view of it exceeds. The cloud's 5 mm cells may stand out by one on every side.
     """
-    cells = np.floor(np.asarray(points, dtype=np.float64) / _CELL).astype(np.int64)
-    if not len(cells):
-        return 0.0
-    cells -= cells.min(axis=0)
-    keys = (
-        cells[:, j] * (cells[:, k].max() + 1) + cells[:, k] for j, k in ((0, 1), (0, 2), (1, 2))
-    )
-    covered = max(len(np.unique(key)) for key in keys)
+    x, y, z = np.floor(np.asarray(points, dtype=np.float64).reshape(-1, 3) / _CELL).T
+    covered = max(len(np.unique(1e6 * a + b)) for a, b in ((x, y), (x, z), (y, z)))
     return covered * _CELL**2 / own_area(description, 2.0 * _CELL)
 
 
