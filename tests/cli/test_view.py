@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def sliders(model):
     return {s.unknown.name: s for s in model.sliders}
 
 
-def shown(model, **changes):
+def shown(model: Any, **changes) -> list[Any]:
     """All scenes."""
     first = {name: slider.value for name, slider in sliders(model).items()}
     return list(model.simulate({**first, **changes}, lambda: None))

@@ -418,7 +418,7 @@ def test_estimates_of_odd_types_are_refused(tmp_path, count):
     every = list(places(whole))
     for _ in range(count):
         changed, (*outer, key) = copy.deepcopy(whole), every[rng.integers(len(every))]
-        inner = functools.reduce(lambda found, k: found[k], outer, changed)
+        inner: Any = functools.reduce(lambda found, k: found[k], outer, changed)
         inner[key] = [None, "x", 5, [], {}, [[1]], 1e300, -1][rng.integers(8)]
         write_json(tmp_path / "estimate.json", {**changed, "sha256": checksum(changed)})
         with contextlib.suppress(GendomError):
