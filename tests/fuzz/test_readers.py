@@ -455,6 +455,9 @@ def test_numbers_beyond_doubles_are_one_line(tmp_path, refused, recwarn):
     board(tmp_path)
     write_camera(tmp_path / "camera.toml", CAMERA)
     path = tmp_path / "poses.csv"
-    path.write_text(path.read_text().replace("0,0,0,1\n", "0,0,0,1e300\n", 1))
-    told = refused("calibrate", tmp_path, "--camera", tmp_path / "camera.toml")
+    words, whole = ("calibrate", tmp_path, "--camera", tmp_path / "camera.toml"), path.read_text()
+    path.write_text(whole.replace("png,0,", "png,1_0,", 1))
+    assert "line 2: is no pose" in refused(*words)
+    path.write_text(whole.replace("0,0,0,1\n", "0,0,0,1e300\n", 1))
+    told = refused(*words)
     assert "line 2: quaternion of length inf" in told and len(recwarn) == 0
