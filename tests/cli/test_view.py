@@ -142,7 +142,7 @@ def test_it_prints_its_address_and_ends_with_ctrl_c(params, tmp_path, capsys):
     assert cli.main(["view", str(params), "--html", str(page)]) == 0
     assert capsys.readouterr().out == f"written: {page}\n" and page.stat().st_size > 30_000
     words = [sys.executable, "-m", "gendom", "view", str(params), "--port", "0"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    pipes: dict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process: Any = subprocess.Popen(words, cwd=Path(__file__).parent, **pipes)
     line = process.stdout.readline()
     assert re.fullmatch(r"lift.npz: http://127\.0\.0\.1:\d+/ \(Ctrl-C ends it\)\n", line), line

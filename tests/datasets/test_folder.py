@@ -17,7 +17,7 @@ def folder(lift, tmp_path):
     for t in range(5):
         write_ply(folder / f"frame_{8 + t}.ply", lift.frame(t))
     rows = np.column_stack([lift.time, lift.gripper_position[:, 0], lift.gripper_axis[:, 0]])
-    form = {"fmt": "%.17g", "delimiter": ",", "header": "time,x,y,z,ax,ay,az", "comments": ""}
+    form: dict = {"fmt": "%.17g", "delimiter": ",", "header": "time,x,y,z,ax,ay,az", "comments": ""}
     np.savetxt(folder / "gripper.csv", rows, **form)
     (folder / "object.toml").write_text(
         'table_height = 0.0\noperator = "nobody"\n'

@@ -66,13 +66,11 @@ POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
 def recording():
     steps = np.arange(4.0)
     grip = np.stack([0.0 * steps, 0.0 * steps, 0.01 * steps], axis=1)
+    clouds = [POINTS + at.astype(np.float32) for at in grip]
     return Recording.from_frames(
-        [POINTS + at.astype(np.float32) for at in grip],
-        time=0.1 * steps,
-        gripper_position=grip,
+        clouds, time=0.1 * steps, gripper_position=grip, table_height=0.0,
         object=ObjectDescription(kind="rope", length=0.4, mass=0.02),
-        table_height=0.0,
-    )
+    )  # fmt: skip
 
 
 def as_pcd(path, encoding):
@@ -247,15 +245,9 @@ def acted(path):
 
 
 def action(folder):
-    there = XARM7.home + 0.1
-    planned = PlannedMotion(
-        arm="xarm7",
-        first=there,
-        motion=joint_move(XARM7, there, XARM7.home),
-        approach=joint_move(XARM7, XARM7.home, there),
-        surroundings={},
-        opening=0.01,
-    )
+    home, there = XARM7.home, XARM7.home + 0.1
+    moves = {"motion": joint_move(XARM7, there, home), "approach": joint_move(XARM7, home, there)}
+    planned = PlannedMotion(arm="xarm7", first=there, surroundings={}, opening=0.01, **moves)
     said = {"format": ACTION_FORMAT, "task": "t", "goal": {}, "action": {"a": 1.0}, "object": {}}
     said |= {"trajectory": {"T_base_task": np.eye(4)}, "plan": planned}
     write_json(folder / "action.json", said)
