@@ -246,7 +246,8 @@ def acted(path):
 
 def action(folder):
     home, there = XARM7.home, XARM7.home + 0.1
-    moves = {"motion": joint_move(XARM7, there, home), "approach": joint_move(XARM7, home, there)}
+    moves: dict = {"motion": joint_move(XARM7, there, home)}
+    moves |= {"approach": joint_move(XARM7, home, there)}
     planned = PlannedMotion(arm="xarm7", first=there, surroundings={}, opening=0.01, **moves)
     said = {"format": ACTION_FORMAT, "task": "t", "goal": {}, "action": {"a": 1.0}, "object": {}}
     said |= {"trajectory": {"T_base_task": np.eye(4)}, "plan": planned}
