@@ -378,10 +378,19 @@ def read_number_table(
     raise error("is no table of numbers", where=str(path), fix="give seconds and metres")
 
 
+def number_of(text: str) -> float:
+    """The number that a text is. Python's own reading takes 1_0 for 10.
+
+    Raises:
+        ValueError: It is none.
+    """
+    return float(text.replace("_", "underscore"))
+
+
 def _is_number(text: str) -> bool:
     with suppress(ValueError):
-        float(text)
-        return "_" not in text
+        number_of(text)
+        return True
     return False
 
 

@@ -16,10 +16,6 @@ from gendom.cli.parsing import PARSING, arguments_of
 COMMANDS = sorted(cli.COMMANDS)
 
 
-def command_class(name):
-    return import_module(cli.COMMANDS[name][0]).Command
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_help_page(name, capsys, monkeypatch):
     """It has an example that parses in one line, fits 80 columns, and nothing of Python leaks.
@@ -30,7 +26,7 @@ def test_every_help_page(name, capsys, monkeypatch):
     page = capsys.readouterr().out
     (example,) = re.findall(rf"^For example: gendom {name} (.*)$\n\n", page, re.MULTILINE)
     words = shlex.split(example.partition(">")[0])
-    command = command_class(name)
+    command = import_module(cli.COMMANDS[name][0]).Command
     arguments_of(command)
     tyro.cli(command, args=words, config=PARSING)
     lines = [x for x in page.splitlines() if not x.startswith(("usage: ", "For example: "))]

@@ -112,14 +112,11 @@ sys.exit(cli.main(['policies']))"""
 def test_check_prints_a_summary(refused, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     clouds = [np.linspace([0.0, 0.0, 0.0], [0.4, 0.0, 0.01 * t], 10 + t) for t in range(3)]
-    Recording.from_frames(
-        [*clouds, np.zeros((0, 3))],
-        time=[0.0, 0.5, 1.0, 1.5],
-        gripper_position=np.array([[0.4, 0.0, 0.01 * t] for t in range(4)]),
-        gripper_closed=np.array([[True], [True], [False], [False]]),
-        object=ObjectDescription(kind="rope", length=0.4, diameter=0.01),
-        table_height=-0.01,
-    ).write("lift.npz")
+    grip: dict = {"gripper_position": [[0.4, 0.0, 0.01 * t] for t in range(4)]}
+    grip |= {"gripper_closed": [[True], [True], [False], [False]]}
+    held = ObjectDescription(kind="rope", length=0.4, diameter=0.01)
+    about: dict = {"time": [0.0, 0.5, 1.0, 1.5], "object": held, "table_height": -0.01}
+    Recording.from_frames([*clouds, np.zeros((0, 3))], **grip, **about).write("lift.npz")
     assert cli.main(["check", "lift.npz"]) == 0
     assert capsys.readouterr() == (
         "lift.npz: a recording, can be used\n"

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def sliders(model):
     return {s.unknown.name: s for s in model.sliders}
 
 
-def shown(model, **changes):
+def shown(model: Any, **changes) -> list[Any]:
     """All scenes."""
     first = {name: slider.value for name, slider in sliders(model).items()}
     return list(model.simulate({**first, **changes}, lambda: None))
@@ -135,19 +136,14 @@ def test_an_estimate_finds_its_recording(params, lifted, rope_lift, refused):
 # ---- the command ---------------------------------------------------------------------------------
 
 
-def test_a_page_is_written_instead(params, tmp_path, capsys):
+def test_it_prints_its_address_and_ends_with_ctrl_c(params, tmp_path, capsys):
+    """Or a page is written instead."""
     page = tmp_path / "lift.html"
     assert cli.main(["view", str(params), "--html", str(page)]) == 0
-    assert capsys.readouterr().out == f"written: {page}\n"
-    assert page.stat().st_size > 30_000
-
-
-def test_it_prints_its_address_and_ends_with_ctrl_c(params):
+    assert capsys.readouterr().out == f"written: {page}\n" and page.stat().st_size > 30_000
     words = [sys.executable, "-m", "gendom", "view", str(params), "--port", "0"]
-    process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parent
-    )
-    assert process.stdout is not None
+    pipes: dict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process: Any = subprocess.Popen(words, cwd=Path(__file__).parent, **pipes)
     line = process.stdout.readline()
     assert re.fullmatch(r"lift.npz: http://127\.0\.0\.1:\d+/ \(Ctrl-C ends it\)\n", line), line
     process.send_signal(signal.SIGINT)

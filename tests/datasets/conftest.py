@@ -9,14 +9,9 @@ from gendom.datasets import ObjectDescription, Recording
 @pytest.fixture
 def lift() -> Recording:
     """Five frames of a straight 0.4 m rope, 20 to 24 points, one end lifted by 1 cm a frame."""
-    rng = np.random.default_rng(0)
-    clouds = []
-    for t in range(5):
-        x = np.linspace(0.0, 0.4, 20 + t)
-        height = 0.01 * t * x / 0.4
-        cloud = np.stack([x, np.zeros_like(x), height], axis=1)
-        clouds.append(cloud + 0.001 * rng.normal(size=cloud.shape))
-    grip = np.stack([np.full(5, 0.4), np.zeros(5), 0.01 * np.arange(5)], axis=1)
+    rng, grip = np.random.default_rng(0), np.linspace([0.4, 0.0, 0.0], [0.4, 0.0, 0.04], 5)
+    clouds = [np.linspace([0.0, 0.0, 0.0], at, 20 + t) for t, at in enumerate(grip)]
+    clouds = [cloud + 0.001 * rng.normal(size=cloud.shape) for cloud in clouds]
     return Recording.from_frames(
         clouds,
         time=0.1 * np.arange(5),

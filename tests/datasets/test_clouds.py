@@ -132,6 +132,8 @@ def test_a_header_of_64_kib_and_numbers_of_1100_characters_are_read(tmp_path):
     assert read_as_ply(tmp_path, LONGEST + b"end_header\n") == []
     data = ply("ascii", *XYZ) + b"0." + b"0" * 1097 + b"1 2 3 -nan(ind) 5 6 junk"
     assert read_as_ply(tmp_path, data) == [[0.0, 2.0, 3.0]]
+    data = ply("ascii", *XYZ) + b"1 2 3 4 5 6" + b" " * ((1 << 25) - 11)  # as much text as is read
+    assert read_as_ply(tmp_path, data) == [[1, 2, 3], [4, 5, 6]]
 
 
 LONGEST = ply("ascii", "element vertex 0", *XYZ[1:])[:-11]

@@ -16,11 +16,9 @@ def folder(lift, tmp_path):
     folder.mkdir()
     for t in range(5):
         write_ply(folder / f"frame_{8 + t}.ply", lift.frame(t))
-    rows = ["time,x,y,z,ax,ay,az"]
-    for t in range(5):
-        values = [lift.time[t], *lift.gripper_position[t, 0], *lift.gripper_axis[t, 0]]
-        rows.append(",".join(map(repr, map(float, values))))
-    (folder / "gripper.csv").write_text("\n".join(rows) + "\n")
+    rows = np.column_stack([lift.time, lift.gripper_position[:, 0], lift.gripper_axis[:, 0]])
+    form: dict = {"fmt": "%.17g", "delimiter": ",", "header": "time,x,y,z,ax,ay,az", "comments": ""}
+    np.savetxt(folder / "gripper.csv", rows, **form)
     (folder / "object.toml").write_text(
         'table_height = 0.0\noperator = "nobody"\n'
         '[object]\nkind = "rope"\nlength = 0.4\nmass = 0.02\ngrasp = "end"\n'

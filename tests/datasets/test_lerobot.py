@@ -137,14 +137,12 @@ def test_lerobot_reads_demonstrations(made, reader):
 @pytest.fixture
 def uneven(lift):
     """The lift with an empty frame, at uneven times, and another gripper that lets go."""
-    T = lift.num_frames
     clouds = [cloud if t != 2 else cloud[:0] for t, cloud in enumerate(lift.frames())]
-    other = lift.gripper_position[:, 0] * [0.0, 1.0, 1.0]
     return Recording.from_frames(
         clouds,
         time=[0.1, 0.2, 1.0 / 3.0, 0.5, 2.0],
-        gripper_position=np.stack([lift.gripper_position[:, 0], other + 1e-9], axis=1),
-        gripper_closed=np.stack([np.ones(T, bool), np.arange(T) < 3], axis=1),
+        gripper_position=lift.gripper_position * [[1, 1, 1], [0, 1, 1]] + [[0.0], [1e-9]],
+        gripper_closed=[[True, t < 3] for t in range(5)],
         object=ObjectDescription(kind="rope", length=0.4),
         gripper_source="measured",
     )

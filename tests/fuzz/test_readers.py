@@ -66,13 +66,11 @@ POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
 def recording():
     steps = np.arange(4.0)
     grip = np.stack([0.0 * steps, 0.0 * steps, 0.01 * steps], axis=1)
+    clouds = [POINTS + at.astype(np.float32) for at in grip]
     return Recording.from_frames(
-        [POINTS + at.astype(np.float32) for at in grip],
-        time=0.1 * steps,
-        gripper_position=grip,
+        clouds, time=0.1 * steps, gripper_position=grip, table_height=0.0,
         object=ObjectDescription(kind="rope", length=0.4, mass=0.02),
-        table_height=0.0,
-    )
+    )  # fmt: skip
 
 
 def as_pcd(path, encoding):
@@ -247,15 +245,10 @@ def acted(path):
 
 
 def action(folder):
-    there = XARM7.home + 0.1
-    planned = PlannedMotion(
-        arm="xarm7",
-        first=there,
-        motion=joint_move(XARM7, there, XARM7.home),
-        approach=joint_move(XARM7, XARM7.home, there),
-        surroundings={},
-        opening=0.01,
-    )
+    home, there = XARM7.home, XARM7.home + 0.1
+    moves: dict = {"motion": joint_move(XARM7, there, home)}
+    moves |= {"approach": joint_move(XARM7, home, there)}
+    planned = PlannedMotion(arm="xarm7", first=there, surroundings={}, opening=0.01, **moves)
     said = {"format": ACTION_FORMAT, "task": "t", "goal": {}, "action": {"a": 1.0}, "object": {}}
     said |= {"trajectory": {"T_base_task": np.eye(4)}, "plan": planned}
     write_json(folder / "action.json", said)
@@ -418,7 +411,7 @@ def test_estimates_of_odd_types_are_refused(tmp_path, count):
     every = list(places(whole))
     for _ in range(count):
         changed, (*outer, key) = copy.deepcopy(whole), every[rng.integers(len(every))]
-        inner = functools.reduce(lambda found, k: found[k], outer, changed)
+        inner: Any = functools.reduce(lambda found, k: found[k], outer, changed)
         inner[key] = [None, "x", 5, [], {}, [[1]], 1e300, -1][rng.integers(8)]
         write_json(tmp_path / "estimate.json", {**changed, "sha256": checksum(changed)})
         with contextlib.suppress(GendomError):
@@ -455,6 +448,9 @@ def test_numbers_beyond_doubles_are_one_line(tmp_path, refused, recwarn):
     board(tmp_path)
     write_camera(tmp_path / "camera.toml", CAMERA)
     path = tmp_path / "poses.csv"
-    path.write_text(path.read_text().replace("0,0,0,1\n", "0,0,0,1e300\n", 1))
-    told = refused("calibrate", tmp_path, "--camera", tmp_path / "camera.toml")
+    words, whole = ("calibrate", tmp_path, "--camera", tmp_path / "camera.toml"), path.read_text()
+    path.write_text(whole.replace("png,0,", "png,1_0,", 1))
+    assert "line 2: is no pose" in refused(*words)
+    path.write_text(whole.replace("0,0,0,1\n", "0,0,0,1e300\n", 1))
+    told = refused(*words)
     assert "line 2: quaternion of length inf" in told and len(recwarn) == 0

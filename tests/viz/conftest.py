@@ -37,11 +37,8 @@ class Browser:
         program = next((found for name in NAMES if (found := shutil.which(name))), None)
         if program is None:
             pytest.skip(f"needs a browser: {', '.join(NAMES)}")
-        self._process = subprocess.Popen(
-            [program, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        words, nowhere = [program, *FLAGS, f"--user-data-dir={profile}"], subprocess.DEVNULL
+        self._process = subprocess.Popen([*words, "about:blank"], stdout=nowhere, stderr=nowhere)
         port, until = profile / "DevToolsActivePort", time.monotonic() + 60.0
         while not (port.is_file() and port.read_text().count("\n")):
             assert time.monotonic() < until, "the browser does not start"
@@ -102,9 +99,8 @@ class Browser:
 
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression; of a promise, what it gives."""
-        answer = self.call(
-            "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
-        )
+        options = {"awaitPromise": True, "returnByValue": True}
+        answer = self.call("Runtime.evaluate", expression=expression, **options)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 

@@ -28,15 +28,14 @@ def lift(frames=20, recorded=40, simulated=120, distance=None, more=(), **change
 
     rise = 0.005 * np.arange(frames)
     gripper = np.stack([np.full(frames, 0.3), np.zeros(frames), rise], axis=1)
-    dots = {
-        name: Layer(name=name, color=color, radius=0.001,
-                    points=[cloud(t, count) for t in range(frames)])
-        for name, color, count in (("simulated", SIMULATED_COLOR, simulated),
-                                   ("recorded", RECORDED_COLOR, recorded))
-    }  # fmt: skip
+    made = (("simulated", SIMULATED_COLOR, simulated), ("recorded", RECORDED_COLOR, recorded))
+    dots = [
+        Layer(name=n, color=c, radius=0.001, points=[cloud(t, count) for t in range(frames)])
+        for n, c, count in made
+    ]
     return Animation(
         times=0.1 * np.arange(frames),
-        layers=(*dots.values(), gripper_layer(gripper[:, None], 0.25), *more),
+        layers=(*dots, gripper_layer(gripper[:, None], 0.25), *more),
         table_height=-0.006,
         distance=distance or ("rms", np.linspace(0.002, 0.006, frames)),
         **changes,

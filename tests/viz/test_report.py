@@ -245,9 +245,9 @@ def test_layers_go_and_come_back(browser, report):
     browser.open(report, width=800)
     before = drawn(browser, "lift")
     browser.evaluate("document.querySelector('#lift canvas').scrollIntoView({behavior: 'instant'})")
-    x, y = browser.evaluate(
-        "(() => { const b = document.querySelector('#lift canvas').getBoundingClientRect();"
-        "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+    box = "document.querySelector('#lift canvas').getBoundingClientRect()"
+    x, y = (
+        browser.evaluate(f"{box}.{a} + {box}.{n} / 2") for a, n in (("x", "width"), ("y", "height"))
     )
     for kind, across in (("mousePressed", 0), ("mouseMoved", 60), ("mouseReleased", 60)):
         held = {"button": "left", "buttons": int(kind != "mouseReleased"), "clickCount": 1}

@@ -56,8 +56,8 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
     printed = io.StringIO()
     try:
         with redirect_stderr(printed):
-            about = {"prog": f"gendom {name}", "description": _description(command)}
-            return tyro.cli(command, args=words, config=PARSING, **about)
+            prog, about = f"gendom {name}", _description(command)
+            return tyro.cli(command, prog=prog, description=about, args=words, config=PARSING)
     except SystemExit as stop:
         if not stop.code:
             raise

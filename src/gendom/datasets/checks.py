@@ -167,7 +167,7 @@ def _units(value: float, low: float, high: float, known: Mapping[str, float] = _
 
 def _check_units(recording: RecordingData) -> Iterator[Fault]:
     """The first of: coordinates or sizes in smaller units, clouds far larger than the object."""
-    frames = np.flatnonzero(recording.frame_valid)
+    frames = np.flatnonzero(recording.frame_valid).tolist()
     clouds = recording.frames(frames)
     if not clouds:
         return

@@ -36,7 +36,7 @@ from gendom.datasets import Fault
 from gendom.errors import RecordingError
 from gendom.perception.camera import MAX_DISTANCE, Camera, expect
 from gendom.perception.frames import read_png
-from gendom.reading import inside, read_rows, read_toml, record_of
+from gendom.reading import inside, number_of, read_rows, read_toml, record_of
 
 # What is refused (docs/perception.md).
 _MIN_PICTURES = 5
@@ -437,7 +437,7 @@ def read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:
     for number, row in lines[1:]:
         where, fix = f"{path}, line {number}", "give a picture, x, y, z and a quaternion, no angles"
         try:
-            values = np.array([float(text) for text in row[1:]])
+            values = np.array([number_of(text) for text in row[1:]])
         except ValueError:
             values = np.array([])
         right = len(values) == 7 and np.isfinite(values).all()

@@ -36,7 +36,7 @@ from gendom.perception.frames import (
 from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
 from gendom.plugins import plugins
-from gendom.reading import inside, read_rows
+from gendom.reading import inside, number_of, read_rows
 from gendom.robot import Arm
 
 _HEADER = "time,depth,colour"
@@ -235,7 +235,7 @@ def _read_frames(path: Path, on_warning: Callable[[Fault], None]) -> list[tuple[
     folder = os.fspath(path.parent)
     for number, line in lines[1:]:
         try:
-            time, whole = float(line[at]), len(line) == len(header) and line[depth]
+            time, whole = number_of(line[at]), len(line) == len(header) and line[depth]
         except (ValueError, IndexError):
             time, whole = math.nan, False
         if not whole or not math.isfinite(time) or (rows and time <= rows[-1][0]):

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from gendom.arrays import Array, rigid
 from gendom.errors import RecordingError
 from gendom.perception.camera import expect
-from gendom.reading import decoded, read_bytes
+from gendom.reading import decoded, number_of, read_bytes
 
 _LARGEST = 1 << 17  # [bytes]
 _ENTRY = re.compile(r"([A-Za-z_]\w*)[ \t]*:[ \t]*([^\s,{}#]*)")  # of YAML
@@ -117,7 +117,7 @@ def _published(text: str, where: str) -> StatedPose:
 
 def _is_number(word: str) -> bool:
     try:
-        return math.isfinite(float(word))
+        return math.isfinite(number_of(word))
     except ValueError:
         return False
 
