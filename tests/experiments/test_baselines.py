@@ -277,13 +277,3 @@ def test_a_grid_around_points_holds_them(margin):
 def test_bad_grids_are_refused(points, options, words):
     with pytest.raises(ParameterError, match=words):
         DensityGrid.around(points, **options)
-
-
-def test_the_transpose_is_the_derivative():
-    """<bar, d splat> = <transpose bar, d points>, also where nodes lie off the grid."""
-    rng = np.random.default_rng(3)
-    p = np.stack([cloud(30, seed, margin=-0.05) for seed in (1, 2)])
-    bar, v, h = rng.normal(size=(2, GRID.num_nodes)), rng.normal(size=p.shape), 1e-6
-    ahead, behind = (GRID.splat(p + s * h * v) for s in (1.0, -1.0))
-    expected = ((ahead - behind) * bar).sum() / (2.0 * h)
-    assert (GRID.splat_transpose(p, bar) * v).sum() == pytest.approx(expected, rel=1e-6)

@@ -100,9 +100,8 @@ def test_what_is_calibrated_is_not_the_stated_thickness():
 
 def user_row(seed, *, truth, stated):
     """A lift whose E is estimated to be 1e6 within a factor of `stated`."""
-    (row,) = rows_of(1)
+    (row,), values = rows_of(1), {"E": 1.0e6, "bending_length": 0.1}
     row["truth"] |= {"E": truth, "bending_length": 0.1}
-    values = {"E": 1.0e6, "bending_length": 0.1}
     ends = {"E": [1.0e6 / stated, 1.0e6 * stated], "bending_length": [0.09, 0.11]}
     return {**row, "seed": seed, "values": values, "intervals": ends}
 

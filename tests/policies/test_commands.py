@@ -32,12 +32,8 @@ from simulated_cell import write_cell
 
 def estimated(sd=0.068, **known):
     """Record of an estimate of E over density, which is 1,000 m^2/s^2."""
-    posterior = Posterior(
-        prior=prior_of(["E_over_rho"]),
-        mean=np.log([1000.0]),
-        covariance=np.array([[sd**2]]),
-        bases=(),
-    )
+    numbers = {"mean": np.log([1000.0]), "covariance": np.array([[sd**2]])}
+    posterior = Posterior(prior=prior_of(["E_over_rho"]), bases=(), **numbers)
     known = {"length": 0.25, "diameter": 0.014, "nu": 0.3, "density": 900.0} | known
     return Estimate(kind="rope", known=known, posterior=posterior).record
 
@@ -87,8 +83,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     motion = result["trajectory"]
     T = np.array(motion["T_base_task"])
     assert T[:3, 3] == pytest.approx([0.48, 0.30, 0.12])
-    expected = T @ [x, 0.0, z, 1.0]
-    assert motion["position"][-1] == pytest.approx(expected[:3].tolist())
+    assert motion["position"][-1] == pytest.approx((T @ [x, 0.0, z, 1.0])[:3].tolist())
     assert [e["closed"] for e in motion["events"]] == [True, False]
     assert result["arm"] == {"name": "xarm7", "slowed_by": 1.0}
     assert result["policy"]["seed"] == 3
@@ -96,8 +91,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     meaning = result["network_input_meaning"]
     assert result["network_input"].keys() == meaning.keys() == {"bending_ratio", "nu"}
     assert meaning["bending_ratio"] == "bending length over size, dimensionless"
-    assert result["units"]["release_x"] == result["units"]["x"] == "m"
-    assert result["units"]["sideways"] == "m"
+    assert {result["units"][name] for name in ("release_x", "x", "sideways")} == {"m"}
 
     code, out, _ = act()
     assert code == 0 and re.search(r"release_x 0\.15\d* m, release_z ", out)
@@ -138,8 +132,7 @@ def test_act_plans_what_execute_reads(act, tmp_path):
     cell, out = write_cell(tmp_path, cameras=False), tmp_path / "action.json"
     joints, points = tmp_path / "joints.csv", tmp_path / "ros.json"
     flags = ["--cell", cell, "--out", out, "--joints", joints, "--trajectory", points]
-    flags += ["--no-prediction"]
-    code, text, err = act(*map(str, flags))
+    code, text, err = act(*map(str, flags), "--no-prediction")
     assert code == 0, err
     action = read_action(out)
     motion = action.plan.motion

@@ -42,14 +42,8 @@ def test_a_known_object_is_reached_within_risk_discrepancy_and_doubt():
     assert found.action[1] < 0.5 * ROPE.length
     assert missed(found.action, 0.4) < 1e-3
     # discrepancy is made up for
-    found = polish(
-        TASK,
-        0.42,
-        KNOWN,
-        START,
-        world=Throws(),
-        discrepancy=lambda action: (np.array([0.006]), 0.0),
-    )
+    known = {"world": Throws(), "discrepancy": lambda _: (np.array([0.006]), 0.0)}
+    found = polish(TASK, 0.42, KNOWN, START, **known)
     assert missed(found.action, 0.42, off=0.02) < 1e-3
 
     # doubt keeps the action near to what was tried

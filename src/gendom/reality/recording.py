@@ -77,7 +77,7 @@ def record(
     what, fresh = "holds a recording already", not (folder / "cameras").exists()
     require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
     errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
-    errors = RigErrors.none() if exact else errors
+    errors = RigErrors(translation=0.0, rotation=0.0, clock_offset=0.0) if exact else errors
     world.render(0)  # refuses before anything is written
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)

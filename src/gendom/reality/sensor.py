@@ -172,11 +172,6 @@ class RigErrors:
     """Offset of the clocks of all other cameras ahead of the first camera's [s]."""
 
     @classmethod
-    def none(cls) -> RigErrors:
-        """Return a rig without errors."""
-        return cls(translation=0.0, rotation=0.0, clock_offset=0.0)
-
-    @classmethod
     def synchronised(cls) -> RigErrors:
         """Return a rig whose cameras are synchronised by cable."""
         return cls(clock_offset=0.001)

@@ -22,8 +22,6 @@ from gendom.materials import Item, to_columns
 TARGETS = ("mjcf", "newton", "genesis", "usd")
 """Forms of twins, one module each."""
 
-TWIN_FORMAT = "gendom-twin/1"
-
 
 def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) -> None:
     """Write the twin of an object.
@@ -58,5 +56,5 @@ def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) 
     for name, text in texts.items():
         with atomic_path(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    said = {"format": TWIN_FORMAT, "target": target, "kind": item.kind, "hold": lift.hold}
+    said = {"format": "gendom-twin/1", "target": target, "kind": item.kind, "hold": lift.hold}
     write_json(folder / "twin.json", said | {"object": to_columns(item), **about})

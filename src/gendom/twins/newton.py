@@ -62,7 +62,6 @@ def sheet_of(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[st
     weight = m.density * item.thickness * STANDARD_GRAVITY * item.side
     stretch = min(m.E * item.thickness, weight / (2.0 * SHEET_STRETCH))
     return {
-        "vertices": places,
         "triangles": triangles,
         "held": np.flatnonzero(np.linalg.norm(places[:, :2], axis=1) <= hold + 1e-9),
         "radius": item.thickness / 2.0,

@@ -52,7 +52,7 @@ else:
         rot=wp.quat_identity(),
         scale=1.0,
         vel=wp.vec3(0.0),
-        vertices=[wp.vec3(*x) for x in about["vertices"]],
+        vertices=[wp.vec3(*x) for x in about["rest"]],
         indices=about["triangles"].ravel().tolist(),
         density=float(about["mass_per_area"]),
         tri_ke=float(about["mu"]),
@@ -62,7 +62,7 @@ else:
         edge_kd=damping * float(about["side_hinge"]),
         particle_radius=max(float(about["radius"]), 5e-4),
     )
-    ends = about["vertices"][np.array(builder.edge_indices)[:, 2:]]
+    ends = about["rest"][np.array(builder.edge_indices)[:, 2:]]
     diagonal = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 1.2 * about["spacing"]
     hinges = np.where(diagonal, about["diagonal_hinge"], about["side_hinge"])
     builder.edge_bending_properties = [(float(k), damping * float(k)) for k in hinges]
