@@ -20,7 +20,9 @@ from gendom.estimation.replay import WorldInputs, replay_axis, with_twist_shown
 
 def markers(scene, x):
     """[T, m, 3] where a scene's markers are on simulated shapes [T, n, 3]."""
-    index, weight = Observation(scene).markers or (None, None)
+    found = Observation(scene).markers
+    assert found is not None
+    index, weight = found
     return np.einsum("mk,tmka->tma", weight, x[:, index])
 
 

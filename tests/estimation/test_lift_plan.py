@@ -103,6 +103,7 @@ def test_where_ropes_roll_no_motion_is_chosen_unless_asked_for():
     assert planned(*rows, low, ends=("drop",)).chosen is rows[2]
 
 
+@pytest.mark.slow
 def test_nothing_that_the_arm_can_do():
     long = replace(ROPES, size=(1.5, 1.5), thickness=(0.05, 0.05))
     with pytest.raises(RobotError, match="no object can be lifted by any of 2 motions: "):

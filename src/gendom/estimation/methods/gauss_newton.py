@@ -196,7 +196,7 @@ class Descent:
             self.step(going)
             leads = best_of(starts)
             late = late + 1 if leads is not None and leads.done else 0
-            if self.settings.rugged and leads is not None:
+            if leads is not None and (self.settings.rugged or self.problem.captured):
                 for s in starts:  # so many steps like its last one would not reach the best
                     s.done |= s.value - leads.value > PATIENCE * s.won
             self.problem.tell("search", iteration, most, leads or starts[0])
