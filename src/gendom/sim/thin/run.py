@@ -193,7 +193,7 @@ class Steps:
         e.in_threads(self._run.launch, self._groups)
         if not self._shared:
             self._read()
-        e.ran(until, self._last_dt)
+        e.used, e.now, e.last_dt = True, until, self._last_dt
         if self._stopped.max() >= 0:
             e.note_stopped(self._made, self._whole)
             e.raise_failures(keep_going=keep_going)
