@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Solver, Table, Targets, cloth, rope
+from gendom.materials import STANDARD_GRAVITY, Material
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table, Targets, cloth, rope
 from gendom.sim.thin.engine import ThinEngine
 from gendom.viz.simulation import motion_of
 
@@ -90,6 +90,48 @@ def test_what_is_let_go_flies_on_with_the_hand():
     assert isinstance(stood.engine, ThinEngine)
     pose = stood.engine.paths.pose(0, np.array([0]), np.array([0.02]))
     assert np.abs(pose.velocity).max() < 1e-9 and np.abs(pose.spin).max() < 1e-9
+
+
+def test_worlds_step_as_each_does_alone_and_go_on_where_another_ends():
+    """Each with its own substep; the last one's gripper leaves what it holds behind."""
+    materials = [replace(SOFT, E=E) for E in (5e5, 2e6, 8e5)]
+
+    def led(which):
+        made = Simulator(ROPE, [materials[w] for w in which], grippers=[still()])
+        for k in range(1, 5):
+            ways = np.array([[0.001 * k, 0, 0.002 * k], [0, 0, 0.001 * k], [0, 0, 0.3 * (k > 2)]])
+            ends = Targets(position=END + ways[which][:, None])
+            made.step(0.005 if k % 2 else 0.003, ends, keep_going=True)
+        return made
+
+    together = led([0, 1, 2])
+    assert list(together.failures) == [2]
+    for w in (0, 1):
+        alone = led([w])
+        np.testing.assert_array_equal(together.positions()[w], alone.positions()[0])
+        np.testing.assert_array_equal(together.velocities()[w], alone.velocities()[0])
+    with pytest.raises(SimulationError, match="world 2"):
+        together.step(0.005)
+
+
+def test_a_world_whose_gripper_closes_on_nothing_stays_where_it_is():
+    worlds, away = simulator(still(), worlds=2), np.array([[END], [above(0.1)]])
+    worlds.step(0.01, Targets(position=away, closed=[[True], [False]]))
+    at = worlds.positions()
+    worlds.step(0.01, Targets(position=away, closed=[True]), keep_going=True)
+    assert "closed on nothing" in str(worlds.failures[1])
+    moved = np.abs(worlds.positions() - at).max(axis=(1, 2))
+    assert moved[0] > 1e-5 and moved[1] == 0.0
+
+
+def test_steps_begin_anew_with_velocities_that_are_set():
+    falls = Simulator(ROPE, [SOFT], grippers=[still()], physics=Physics(air_density=0.0))
+    falls.step(0.01, Targets(position=[END], closed=[False]))
+    falls.set_velocities([0.0, 0.0, 0.0])
+    at = falls.positions().mean(axis=1)
+    falls.step(0.002)
+    fallen = falls.positions().mean(axis=1) - at
+    assert fallen[0, 2] == pytest.approx(-0.5 * STANDARD_GRAVITY * 0.002**2, rel=1e-6)
 
 
 def test_hands_that_pull_a_rope_apart_are_found():

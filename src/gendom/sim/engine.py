@@ -63,19 +63,11 @@ class Engine:
 
     def in_threads(self, job: Callable[[Any], None], groups: Iterable[Any]) -> None:
         """Do a job for each group of worlds, in threads; after one that raises none begins."""
-        left = iter(every := list(groups))
-
-        def work(_: int) -> None:
-            try:
-                for group in left:
-                    job(group)
-            finally:
-                list(left)
-
-        spare = range(min(len(every), self.setting.threads) - 1)
-        helpers = self._pool.map(work, spare) if spare else ()
-        work(0)
-        list(helpers)
+        every = list(groups)
+        if len(every) == 1:
+            job(every[0])
+        else:
+            list(self._pool.map(job, every))
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:

@@ -28,6 +28,7 @@ from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.obstacles import Obstacle, Table, check_clear
 from gendom.sim.setting import Frames, Physics, Setting, Solver, Variation
 from gendom.sim.thin.engine import ThinEngine
+from gendom.sim.thin.run import Steps
 
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table or obstacle [cells, or diameters of a rod]; contact
@@ -230,7 +231,9 @@ class Simulator(Shown):
         until = self.time + dt
         engine = self._thin("steps")
         if targets is not None:
-            engine.lead(until, *targets.of(*engine.closed.shape))
+            checked = targets.of(*engine.closed.shape)
+            engine.steps = engine.steps or Steps(engine)
+            engine.steps.lead(until, *checked)
         if engine.steps is None:
             self.run([until], particles=[], keep_going=keep_going)
             return

@@ -21,7 +21,7 @@ from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, Ties, close, released
 from gendom.sim.thin.rods import RodModel
-from gendom.sim.thin.run import Event, Run, Schedule, Steps, put
+from gendom.sim.thin.run import Event, Run, Schedule, put
 from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.step import make_kernels
 from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
@@ -174,21 +174,12 @@ class ThinEngine(Engine):
         """
         run = Run(self, Schedule(frames, self, most_steps), frames, kept)
         self.in_threads(partial(self._go, run, after), self.groups())
-        self.ran(frames.times[-1], run.plan.last_dt)
+        self.used, self.now, self.last_dt = True, float(frames.times[-1]), run.plan.last_dt
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
         self.raise_failures(keep_going=frames.keep_going)
         return run.plan
-
-    def ran(self, until: float, last_dt: Array) -> None:
-        """Keep where a run has come to."""
-        self.used, self.now, self.last_dt = True, float(until), last_dt
-
-    def lead(self, until: float, *targets: Any) -> None:
-        """From now on grippers go where somebody tells, see ``Steps.lead``."""
-        self.steps = self.steps or Steps(self)
-        self.steps.lead(until, *targets)
 
     def _go(self, run: Run, after: Callable[..., None] | None, group: slice) -> None:
         """Take a group of worlds through a run, from one gripper event to the next."""

@@ -193,7 +193,7 @@ class Steps:
         e.in_threads(self._run.launch, self._groups)
         if not self._shared:
             self._read()
-        e.ran(until, self._last_dt)
+        e.used, e.now, e.last_dt = True, until, self._last_dt
         if self._stopped.max() >= 0:
             e.note_stopped(self._made, self._whole)
             e.raise_failures(keep_going=keep_going)
@@ -218,7 +218,7 @@ class Steps:
             put(made.dt, self._whole, e.last_dt[:, None])
         if len(e.failures) > self._failed:
             self._failed = len(e.failures)
-            put(made.stopped, np.array(list(e.failures)), np.int32(0))
+            put(made.stopped, np.array(list(e.failures)), np.zeros(self._failed, np.int32))
         least = 1 + int(LEAST * self._shortest / ((until - e.now) * e.num_points))
         if least != self._least:
             self._least, self._groups = least, e.groups(e.num_worlds, least)

@@ -254,15 +254,16 @@ template <typename Model, typename real>
 CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, int p, int q, int columns,
                                     int rows) {
     const real lx2 = real(0.64) / (model.per_x * model.per_x), ly2 = real(0.64) / (model.per_y * model.per_y);
+    bool folded = false;
     for (int a = 0; a < 4; ++a) {
         const vec<real> x = s.template get3<real>(0, p + a % 2 + a / 2 * model.pitch);
         for (int b = 0; b < 4; ++b) {
-            const int along = columns + a % 2 - b % 2, across = rows + a / 2 - b / 2;
+            const real along = real(columns + a % 2 - b % 2), across = real(rows + a / 2 - b / 2);
             const vec<real> d = s.template get3<real>(0, q + b % 2 + b / 2 * model.pitch) - x;
-            if (dot(d, d) < real(along * along) * lx2 + real(across * across) * ly2) return true;
+            folded |= dot(d, d) < along * along * lx2 + across * across * ly2;
         }
     }
-    return false;
+    return folded;
 }
 
 // Lists those of the listed pairs that may play a part in a step's contacts.
