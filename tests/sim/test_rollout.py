@@ -95,35 +95,29 @@ def test_derivatives_by_everything_equal_central_differences(options):
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype, monkeypatch):
-    recorded = Rollout(scene(worlds=2, dtype=dtype))
-    x = recorded.forward(TIMES)
-    assert all(segment.recorded for segments in segments_of(recorded) for segment in segments)
+def test_segments_of_any_length_recorded_or_repeated_give_the_same_derivatives(dtype, monkeypatch):
+    """Repeated substeps to the bit; segments of other lengths are summed in another order."""
+
+    def run():
+        one = Rollout(scene(worlds=2, dtype=dtype))
+        x = one.forward(TIMES)
+        (kept, _), recorded = segments_of(one), [s.recorded for k in segments_of(one) for s in k]
+        return x, len(kept), recorded, one.backward(weights(x.shape))
+
+    x, few, recorded, expected = run()
+    assert all(recorded) and np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
     monkeypatch.setattr(mpm_tape, "MEMORY", {"cpu": 0})
-    repeated = Rollout(scene(worlds=2, dtype=dtype))
-    assert np.array_equal(x, repeated.forward(TIMES))
-    assert not any(segment.recorded for segments in segments_of(repeated) for segment in segments)
-    bar = weights(x.shape)
-    a, b = recorded.backward(bar), repeated.backward(bar)
-    for name in STEPS:
-        assert np.array_equal(getattr(a, name), getattr(b, name)), name
-
-
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_segments_of_any_length_give_the_same_derivatives(dtype, monkeypatch):
-    one, other = (Rollout(scene(worlds=2, dtype=dtype)) for _ in range(2))
-    x = one.forward(TIMES)
-    bar = weights(x.shape)
-    a = one.backward(bar)
+    y, _, again, same = run()
     monkeypatch.setattr(mpm_tape, "LONGEST_ON_CPU", 7)
-    assert np.array_equal(x, other.forward(TIMES))
-    assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
-    b = other.backward(bar)
-    assert len(segments_of(other)[0]) > 4 * len(segments_of(one)[0])
+    z, many, _, other = run()
+    assert not any(again) and many > 4 * few
+    assert np.array_equal(x, y) and np.array_equal(x, z)
+    rounding = 1e-5 if dtype == "float32" else 1e-12
     for name in STEPS:
-        expected, rounding = getattr(a, name), 1e-5 if dtype == "float32" else 1e-12
-        off = np.abs(getattr(b, name) - expected).max()
-        assert off <= rounding * np.abs(expected).max(), name
+        values = getattr(expected, name)
+        assert np.array_equal(getattr(same, name), values), name
+        off = np.abs(getattr(other, name) - values).max()
+        assert off <= rounding * np.abs(values).max(), name
 
 
 @pytest.mark.parametrize("engine", ["mpm", "thin"])

@@ -120,12 +120,19 @@ def difference(losses, h):
     return found[-1]
 
 
-def check_worlds(run, count):
-    """Assert that each of so many worlds, which ``run(chosen)`` simulates and differentiates, moves
-    as it does alone, bit for bit."""
-    x, together = run(list(range(count)))
-    for k in range(count):
-        y, alone = run([k])
+def check_worlds(simulator, worlds, times):
+    """Assert that each world of a batch moves as it does alone, bit for bit, and has its
+    derivatives."""
+
+    def run(chosen):
+        rollout = Rollout(simulator(chosen))
+        x = rollout.forward(times)
+        weights = np.random.default_rng(1).normal(size=(len(times), 1, *x.shape[2:]))
+        return x, rollout.backward(np.repeat(weights, len(chosen), axis=1))
+
+    x, together = run(worlds)
+    for k, world in enumerate(worlds):
+        y, alone = run([world])
         np.testing.assert_array_equal(x[:, k], y[:, 0])
         for name, values in vars(alone).items():
             if values is not None:
