@@ -12,6 +12,7 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Solver, Table, cloth, rope
 from gendom.sim.mpm import tape as mpm_tape
 from gendom.sim.mpm.engine import MpmEngine
+from sim.thin.shared import assert_same_derivatives
 from validation.bench import flat_simulator
 
 TIMES = [0.015, 0.03]
@@ -185,18 +186,10 @@ def test_a_long_rollout_stays_within_its_memory():
 )
 def test_all_worlds_at_once_have_the_derivatives_of_each(options, device):
     """What a GPU does, which runs on the CPU too, against the CPU's own way."""
-    options = {"worlds": 2, **options}
-    check_derivatives(rollout(**options), rollout(together=True, device=device, **options))
-
-
-def check_derivatives(*rollouts):
-    """All rollouts give the first one's positions and derivatives."""
-    frames = [one.forward(TIMES) for one in rollouts]
-    found = [one.backward(weights(frames[0].shape)) for one in rollouts]
-    for x, gradients in zip(frames[1:], found[1:], strict=True):
-        np.testing.assert_allclose(x, frames[0], rtol=0.0, atol=1e-13)
-        for name in STEPS:
-            expected = getattr(found[0], name)
-            np.testing.assert_allclose(
-                getattr(gradients, name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
-            )
+    frames, found = [], []
+    for where in ({}, {"together": True, "device": device}):
+        one = rollout(worlds=2, **where, **options)
+        frames.append(one.forward(TIMES))
+        found.append(vars(one.backward(weights(frames[0].shape))))
+    np.testing.assert_allclose(frames[1], frames[0], rtol=0.0, atol=1e-13)
+    assert_same_derivatives(found[1], found[0], rtol=1e-7, atol=1e-9)
