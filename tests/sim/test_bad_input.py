@@ -2,7 +2,9 @@
 
 import math
 import re
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +13,14 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.materials.parameters import OF_THIN
 from gendom.sim import (
+    Capsule,
+    Cuboid,
     Gripper,
     Grippers,
     Rollout,
     Simulator,
     Solver,
+    Sphere,
     Table,
     cloth,
     open_device,
@@ -144,6 +149,11 @@ def test_a_wrong_argument_is_named(make, given, name, value):
 
 SHEET = {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}
 BLOCK = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
+SQUARE = [(0, 0), (0.2, 0), (0.2, 0.2), (0, 0.2)]
+SMALL = 0.2 * np.array(SQUARE) + 0.08
+LINE = rope(diameter=0.01, length=0.2, start=(-0.1, 0.0, 0.1), points=21)
+MEETS: dict[str, Any] = {"body": LINE, "materials": [MATERIAL]}
+BALL = Sphere(radius=0.03, position=[0.0, 0.0, 0.05])
 TWO = {"body": ROPE, "materials": [MATERIAL] * 2}
 UNFIT = [
     # before arrays are made
@@ -169,6 +179,51 @@ UNFIT = [
                 r"world 1 \(E 1e\+30 Pa.*substep would be .*e-1[67] s, the shortest is"),
             ({"substep": 1e-30}, "substep"),
         )],
+    # outlines of cloths
+    *[(cloth, {"outline": outline, "thickness": 0.002, "dx": 0.02}, words) for outline, words in (
+        ([(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.1)],
+            r"outline, near \(0, 0.1\) m: crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
+        ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
+        ([(0, 0), (0.2, 0), (0.1, nan)], "holds numbers that are not finite"),
+        ([SQUARE, SMALL + 0.5], "hole 1: is not inside of the outline"),
+        ([SQUARE, SMALL + 0.1], "outline, near .* crosses or touches hole 1"),
+        ([SQUARE, SMALL, 0.5 * SMALL + 0.05], "hole 2: is inside of hole 1"),
+        ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
+        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
+    )],
+    # what another body or engine has
+    *[(flat_simulator, {"body": body, "engine": kind, "materials": [MATERIAL], **given}, words)
+        for body, kind, given, words in (
+            (ROPE, "mpm", {"materials": [Material(membrane=1e5)]},
+                "materials: only rods and shells have a modulus"),
+            (cloth(**SHEET), "mpm", {"materials": [Material(shear=0.5)]},
+                "materials: only shells have threads"),
+            (ROPE, "thin", {"materials": [Material(warp=0.5)]},
+                "materials: only shells have threads"),
+            (ROPE, "mpm", {"mass": 2.0}, "mass: only rods and shells have points"),
+            (cloth(**SHEET), "thin", {"natural_curvature": 0.0},
+                "natural_curvature: only rods may begin"),
+            (cloth(**SHEET), "thin", {"stretch": 1.01}, "stretch: only rods may be longer"),
+        )],
+    (Simulator, {**MEETS, "obstacles": [BALL], "solver": Solver(engine="mpm")},
+        "only rods and shells meet obstacles, not a rope of the mpm engine"),
+    # obstacles
+    (Sphere, {"radius": -0.1, "position": [0, 0, 0]}, "Sphere radius must be positive"),
+    (Sphere, {"radius": 0.1, "position": [0, 0, nan]}, "Sphere position"),
+    (Sphere, {"radius": 0.1, "position": [0, 0, 0], "friction": -1.0}, "Sphere friction"),
+    (Cuboid, {"size": (0.1, 0.1), "position": [0, 0, 0]}, "Cuboid size"),
+    (Cuboid, {"size": (1, 1, 1), "rounding": 0.6, "position": [0, 0, 0]}, r"rounded by 0\.6 m"),
+    (Capsule.between, {"a": (0, 0, 1), "b": (0, 0, 1), "radius": 0.1},
+        "ends are the same place"),
+    (Simulator, {**MEETS, "obstacles": BALL}, "obstacles must be a list"),
+    (Simulator, {**MEETS, "obstacles": [Table(height=0.0)]}, r"obstacles\[0\]"),
+    (Simulator, {**MEETS, "obstacles": [replace(BALL, radius=0.1)]},
+        r"55 mm inside the obstacle 0 \(Sphere\)"),
+    (Simulator, {**MEETS, "materials": [MATERIAL] * 2,
+        "obstacles": [[BALL], [replace(BALL, radius=0.004)]]},
+        "fits between the body's points, which are 10 mm apart"),
 ]  # fmt: skip
 
 

@@ -1,25 +1,19 @@
 """Rigid obstacles that rods and shells meet: where they end, derivatives, and what is refused."""
 
-import math
-from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import (
     Capsule,
     Cuboid,
     Gripper,
     Simulator,
-    Solver,
     Sphere,
-    Table,
     cloth,
     rope,
 )
@@ -166,40 +160,3 @@ def test_cuda_meets_obstacles_as_the_cpu_does():
     p = given(CLOTH)
     x, y = (simulator(CLOTH, [p], self_contact=True, device=d).run(TIMES) for d in ("cpu", "cuda"))
     np.testing.assert_allclose(x, y, atol=1e-9)
-
-
-LINE = rope(diameter=0.01, length=0.2, start=(-0.1, 0.0, 0.1), points=21)
-BALL = Sphere(radius=0.03, position=[0.0, 0.0, 0.05])
-SMALL = replace(BALL, radius=0.004)
-UNFIT: Any = (BALL, [Table(height=0.0)])
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: Sphere(radius=-0.1, position=[0, 0, 0]), "Sphere radius must be positive"),
-        (lambda: Cuboid(size=(0.1, 0.1), position=[0, 0, 0]), "Cuboid size"),
-        (lambda: Cuboid(size=(1, 1, 1), rounding=0.6, position=[0, 0, 0]), "rounded by 0.6 m"),
-        (lambda: Capsule.between((0, 0, 1), (0, 0, 1), radius=0.1), "ends are the same place"),
-        (lambda: Sphere(radius=0.1, position=[0, 0, math.nan]), "Sphere position"),
-        (lambda: Sphere(radius=0.1, position=[0, 0, 0], friction=-1.0), "Sphere friction"),
-        (lambda: Simulator(LINE, [Material()], obstacles=UNFIT[0]), "obstacles must be a list"),
-        (lambda: Simulator(LINE, [Material()], obstacles=UNFIT[1]), r"obstacles\[0\]"),
-        (
-            lambda: Simulator(LINE, [Material()], obstacles=[replace(BALL, radius=0.1)]),
-            r"55 mm inside the obstacle 0 \(Sphere\)",
-        ),
-        (
-            lambda: Simulator(LINE, [Material()] * 2, obstacles=[[BALL], [SMALL]]),
-            "fits between the body's points, which are 10 mm apart",
-        ),
-        (
-            lambda: Simulator(LINE, [Material()], obstacles=[BALL], solver=Solver(engine="mpm")),
-            "only rods and shells meet obstacles, not a rope of the mpm engine",
-        ),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_is_said_in_one_line(make, said):
-    with pytest.raises(ParameterError, match=said) as error:
-        make()
-    assert "\n" not in str(error.value)
