@@ -62,23 +62,29 @@ def scene(body, worlds, hands, height, **options):
     return s
 
 
-def check_derivatives(simulator, p, steps, times, rel):
+LENGTHS = ("positions", "gripper_positions", "gripper_radius", "thickness")
+
+
+def check_derivatives(simulator, p, steps, times, rel, of_lengths=2e-8):
     """Assert that derivatives of a random loss are those of central differences.
 
     Args:
         simulator: Makes a simulator of dictionaries of inputs.
         p: Inputs.
-        steps: Direction and length of differences by the names of inputs; None: random.
+        steps: Of differences by the names of inputs, relative to these.
         times: Of frames [s].
         rel: Allowed relative error.
+        of_lengths: Steps of lengths [m], within which nothing may begin to touch or slide in
+            another step; None: relative as of others.
     """
     rng, rollout = np.random.default_rng(1), Rollout(simulator([p]))
     x0 = rollout.forward(times)
     weights = rng.normal(size=x0.shape)
     found = rollout.backward(weights)
-    for name, (way, h) in steps.items():
-        if way is None:
-            way = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
+    for name, share in steps.items():
+        h = share * max(np.abs(p[name]).max(), 1e-2)
+        h = of_lengths if of_lengths and name in LENGTHS else h
+        way = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
         changed = lambda by, name=name, way=way: p | {name: p[name] + by * way}  # noqa: E731
 
         def losses(by, name=name, changed=changed):

@@ -1,4 +1,4 @@
-"""Rigid obstacles that rods and shells meet: where they end, derivatives, and what is refused."""
+"""Rigid obstacles that rods and shells meet: where they end, derivatives."""
 
 from functools import partial
 
@@ -8,15 +8,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
-from gendom.sim import (
-    Capsule,
-    Cuboid,
-    Gripper,
-    Simulator,
-    Sphere,
-    cloth,
-    rope,
-)
+from gendom.sim import Capsule, Cuboid, Gripper, Simulator, Sphere, cloth, rope
 from sim.thin import shared
 from sim.thin import test_contact_derivatives as folded
 from sim.thin.shared import check_derivatives, scene
@@ -73,19 +65,18 @@ def assert_meets(s, obstacles, times):
         assert -1e-9 < min(far) < 1e-6, of
 
 
-LENGTHS = ("positions", "gripper_positions", "gripper_radius", "thickness")
-
-
 @BODIES
 def test_every_derivative_is_that_of_central_differences(body):
     p = given(body)
     made = partial(simulator, body)
     assert_meets(made([p]), around(body), np.linspace(0.001, 0.03, 30))
-    names = ("obstacle_friction", "velocities", "E", *LENGTHS)  # the others do not know of them
-    steps = {
-        n: (None, 2e-8 if n in LENGTHS else 1e-5 * max(np.abs(p[n]).max(), 1e-2)) for n in names
-    }
-    check_derivatives(made, p, steps, TIMES, 2e-6)
+    names = (
+        "obstacle_friction",
+        "velocities",
+        "E",
+        *shared.LENGTHS,
+    )  # the others do not know of them
+    check_derivatives(made, p, dict.fromkeys(names, 1e-5), TIMES, 2e-6)
 
 
 @pytest.mark.parametrize("body", [folded.ROPE, folded.CLOTH], ids=["rope", "cloth"])
