@@ -147,7 +147,7 @@ def test_a_wrong_argument_is_named(make, given, name, value):
 # ---- arguments that do not fit together ----------------------------------------------------------
 
 
-SHEET = {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}
+SHEET: dict[str, Any] = {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}
 BLOCK = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
 SQUARE = [(0, 0), (0.2, 0), (0.2, 0.2), (0, 0.2)]
 SMALL = 0.2 * np.array(SQUARE) + 0.08

@@ -65,7 +65,7 @@ def scene(body, worlds, hands, height, **options):
 LENGTHS = ("positions", "gripper_positions", "gripper_radius", "thickness")
 
 
-def check_derivatives(simulator, p, steps, times, rel, of_lengths=2e-8):
+def check_derivatives(simulator, p, steps, times, rel, of_lengths: float | None = 2e-8):
     """Assert that derivatives of a random loss are those of central differences.
 
     Args:
