@@ -59,17 +59,7 @@ class Grip:
 
 
 class NumpyMPM:
-    """One world.
-
-    Args:
-        body: What is simulated, at rest.
-        material: What it consists of.
-        grippers: In any number.
-        table: Table, or None for open space.
-        gravity: [3] [m/s^2].
-        velocity_damping: Rate at which the grid's velocities decay [1/s].
-        air_density: Of the air that is at rest around the body [kg/m^3].
-    """
+    """One world; arguments are those of ``Simulator``."""
 
     def __init__(
         self, body: Body, material: Material, *, grippers: Sequence[Gripper] = (),
@@ -82,6 +72,8 @@ class NumpyMPM:
         self.velocity_damping, self.air_density = velocity_damping, air_density
         self.mu, self.lam = material.lame_of(body.lateral_constraint)
         self.mass = material.density * body.volume
+        coarse = body.kind == "rope" and body.section == 4
+        self.beyond, self.stiffness = COARSE if coarse else (BEYOND, STIFFNESS)
         self.grips: list[Grip | None] = [None] * len(grippers)
         self.time = 0.0
         x = np.array(body.x)
@@ -136,12 +128,6 @@ class NumpyMPM:
             change[:, :2] = -np.where(change[:, 2] > 0.0, lost, 0.0)[:, None] * u[:, :2]
         return change
 
-    @property
-    def grip_constants(self) -> tuple[float, float]:
-        """``BEYOND`` and ``STIFFNESS`` of the body."""
-        coarse = self.body.kind == "rope" and self.body.section == 4
-        return COARSE if coarse else (BEYOND, STIFFNESS)
-
     def grasp(self, t: float) -> None:
         """Let grippers open and close; what one holds is left to it."""
         x = self.state.x
@@ -151,8 +137,7 @@ class NumpyMPM:
             elif self.grips[i] is None:
                 centre, R = pose(gripper, t)
                 rho = np.linalg.norm(self.sections(x) - centre, axis=1)
-                beyond, _ = self.grip_constants
-                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + beyond, 0.0, 1.0)
+                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + self.beyond, 0.0, 1.0)
                 taken = sum((g.weight for g in self.grips if g is not None), np.zeros(len(x)))
                 self.grips[i] = Grip(np.where(taken > 0.0, 0.0, self.spread(f)), (x - centre) @ R)
 
@@ -171,7 +156,7 @@ class NumpyMPM:
             mine = grip.weight > 0.0
             held = held + grip.weight
             modulus = (self.lam + 2.0 * self.mu) / self.material.density
-            b = min(self.grip_constants[1] * dt**2 * modulus / self.body.dx**2, FOLLOWS)
+            b = min(self.stiffness * dt**2 * modulus / self.body.dx**2, FOLLOWS)
             b = np.where(grip.weight[:, None] < 1.0, b, FOLLOWS)
             v[mine] = (V + b / dt * behind)[mine]
             C[mine] = np.cross(np.eye(3), omega)  # C r = omega x r

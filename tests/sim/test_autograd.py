@@ -44,11 +44,9 @@ def test_a_torch_loss_reaches_its_tensors_through_the_simulation():
 
 @pytest.mark.parametrize("kind", ["rope", "cloth"])
 def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
-    sheet = kind == "cloth"
-    if sheet:
+    body = rope(diameter=0.004, length=0.1, points=11)
+    if kind == "cloth":
         body = cloth(width=0.1, height=0.08, thickness=0.002, dx=0.02, points=(6, 5))
-    else:
-        body = rope(diameter=0.004, length=0.1, points=11)
     ends = torch.tensor(body.points[[0, -1]])
     turn = torch.tensor([[[0.1, 0.2, -0.1], [0.3, -0.1, 0.2]], [[0.0, 0.0, 0.0], [0.2, 0.4, 0.1]]])
     given = {
@@ -60,7 +58,7 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
         "obstacle_friction": torch.tensor([0.3]), "gripper_rotations": turn,
         "gripper_radius": torch.tensor([0.0231, 0.0213]),
     }  # fmt: skip
-    if sheet:
+    if kind == "cloth":
         given |= {"membrane": torch.tensor(2e5), "warp": torch.tensor(1.2),
                   "weft": torch.tensor(0.9), "shear": torch.tensor(0.7)}  # fmt: skip
     given = {name: a.to(torch.float64).requires_grad_() for name, a in given.items()}
@@ -69,20 +67,17 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
     bar = Capsule.between((0.05, -0.1, low - 0.0201), (0.06, 0.2, low - 0.0203), radius=0.02)
 
     def loss(values):
-        x = simulate(
-            body, [0.015, 0.03], grippers=hands, obstacles=[bar], solver=Solver(substep=1e-4),
-            **values,
-        )  # fmt: skip
+        more = {"grippers": hands, "obstacles": [bar], "solver": Solver(substep=1e-4)}
+        x = simulate(body, [0.015, 0.03], **values, **more)
         return (x[:, 0] * torch.arange(6 * n, dtype=torch.float64).reshape(2, n, 3).sin()).sum()
 
     loss(given).backward()
     with torch.no_grad():
         for name, value in given.items():
             way = torch.cos(1.7 * torch.arange(value.numel()) + 0.5).reshape(value.shape)
-            lengths = ("thickness", "positions", "gripper_positions", "gripper_rotations",
-                       "gripper_radius")  # fmt: skip
-            scale = 3e-7 if name in lengths else 1e-5
-            h = scale * (1.0 if "rotations" in name else max(float(value.abs().max()), 1e-3))
+            moves = name in ("thickness", "positions") or name.startswith("gripper")
+            h = (3e-7 if moves else 1e-5) * max(float(value.abs().max()), 1e-3)
+            h /= float(value.abs().max()) if "rotations" in name else 1.0
             up, down = (loss(given | {name: value + k * h * way}) for k in (1, -1))
             expected = float(up - down) / (2.0 * h)
             assert value.grad is not None, name

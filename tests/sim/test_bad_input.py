@@ -2,7 +2,9 @@
 
 import math
 import re
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +13,14 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.materials.parameters import OF_THIN
 from gendom.sim import (
+    Capsule,
+    Cuboid,
     Gripper,
     Grippers,
     Rollout,
     Simulator,
     Solver,
+    Sphere,
     Table,
     cloth,
     open_device,
@@ -142,48 +147,94 @@ def test_a_wrong_argument_is_named(make, given, name, value):
 # ---- arguments that do not fit together ----------------------------------------------------------
 
 
-def test_bodies_that_no_memory_holds():
-    """They are refused before arrays are made."""
-    message = refused(rope, diameter=1e-6, length=1.0)
-    assert re.search(r"6\.4e\+07 particles .* at most 1e\+07 .*; a larger diameter", message)
-    message = refused(cloth, width=0.2, height=0.2, thickness=0.002, dx=1e-5)
-    assert message.endswith("a larger dx")
-    sheet = partial(cloth, width=0.2, height=0.2, thickness=0.002, dx=0.02)
-    assert refused(sheet, points=(10**4, 10**4)).endswith("fewer points")
-    # grippers without a knot or that open first
-    assert "time [K > 0]" in refused(Gripper, time=[], position=np.zeros((0, 3)), radius=0.01)
-    still = partial(Gripper.still, (0, 0, 0), radius=0.01)
-    assert "hold_until must not lie before hold_from, got 0.5 before 1.0 s" in refused(
-        still, hold_from=1.0, hold_until=0.5
-    )
-    still(hold_from=1.0, hold_until=1.0)  # never closes
-    # no worlds, or grippers of fewer or of another number
-    two = partial(Simulator, body=ROPE, materials=[MATERIAL] * 2)
-    assert "at least one material" in refused(Simulator, body=ROPE, materials=[])
-    assert "grippers given for world 1" in refused(two, grippers=[[HAND]])
-    assert "same number of grippers, got [0, 1]" in refused(two, grippers=[[HAND], []])
-    assert "friction" in refused(two, table=Table(height=-0.005, friction=np.ones(3)))
-    # bodies that are not thin
-    short = rope(diameter=0.3, length=0.2)
-    assert "a diameter of 0.3 m and a length of 0.2 m are not those of a rod" in refused(
-        Simulator, body=short, materials=[MATERIAL]
-    )
-    block = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
-    assert "a thickness of 0.25 m and a side of 0.2 m are not those of a shell" in refused(
-        Simulator, body=block, materials=[MATERIAL]
-    )
-    Simulator(block, [Material(E=1e4)], solver=Solver(engine="mpm"))
+SHEET: dict[str, Any] = {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}
+BLOCK = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
+SQUARE = [(0, 0), (0.2, 0), (0.2, 0.2), (0, 0.2)]
+SMALL = 0.2 * np.array(SQUARE) + 0.08
+LINE = rope(diameter=0.01, length=0.2, start=(-0.1, 0.0, 0.1), points=21)
+MEETS: dict[str, Any] = {"body": LINE, "materials": [MATERIAL]}
+BALL = Sphere(radius=0.03, position=[0.0, 0.0, 0.05])
+TWO = {"body": ROPE, "materials": [MATERIAL] * 2}
+UNFIT = [
+    # before arrays are made
+    (rope, {"diameter": 1e-6, "length": 1.0},
+        r"6\.4e\+07 particles .* at most 1e\+07 .*; a larger diameter"),
+    (cloth, {**SHEET, "dx": 1e-5}, "a larger dx$"),
+    (cloth, {**SHEET, "points": (10**4, 10**4)}, "fewer points$"),
+    (Gripper, {**PATH, "time": [], "position": np.zeros((0, 3))}, r"time \[K > 0\]"),
+    (Gripper, {**PATH, "hold_from": 1.0, "hold_until": 0.5},
+        r"hold_until must not lie before hold_from, got 0\.5 before 1\.0 s"),
+    (Simulator, {**TWO, "materials": []}, "at least one material"),
+    (Simulator, {**TWO, "grippers": [[HAND]]}, "grippers given for world 1"),
+    (Simulator, {**TWO, "grippers": [[HAND], []]}, r"same number of grippers, got \[0, 1\]"),
+    (Simulator, {**TWO, "table": Table(height=-0.005, friction=np.ones(3))}, "friction"),
+    (Simulator, {"body": rope(diameter=0.3, length=0.2), "materials": [MATERIAL]},
+        r"a diameter of 0\.3 m and a length of 0\.2 m are not those of a rod"),
+    (Simulator, {"body": BLOCK, "materials": [MATERIAL]},
+        r"a thickness of 0\.25 m and a side of 0\.2 m are not those of a shell"),
+    *[(flat_simulator, {"body": body, "materials": [MATERIAL], **wrong}, words)
+        for body in (ROPE, cloth(**SHEET))
+        for wrong, words in (
+            ({"materials": [MATERIAL, Material(E=1e30)]},
+                r"world 1 \(E 1e\+30 Pa.*substep would be .*e-1[67] s, the shortest is"),
+            ({"substep": 1e-30}, "substep"),
+        )],
+    # outlines of cloths
+    *[(cloth, {"outline": outline, "thickness": 0.002, "dx": 0.02}, words) for outline, words in (
+        ([(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.1)],
+            r"outline, near \(0, 0.1\) m: crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
+        ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
+        ([(0, 0), (0.2, 0), (0.1, nan)], "holds numbers that are not finite"),
+        ([SQUARE, SMALL + 0.5], "hole 1: is not inside of the outline"),
+        ([SQUARE, SMALL + 0.1], "outline, near .* crosses or touches hole 1"),
+        ([SQUARE, SMALL, 0.5 * SMALL + 0.05], "hole 2: is inside of hole 1"),
+        ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
+        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
+    )],
+    # what another body or engine has
+    *[(flat_simulator, {"body": body, "engine": kind, "materials": [MATERIAL], **given}, words)
+        for body, kind, given, words in (
+            (ROPE, "mpm", {"materials": [Material(membrane=1e5)]},
+                "materials: only rods and shells have a modulus"),
+            (cloth(**SHEET), "mpm", {"materials": [Material(shear=0.5)]},
+                "materials: only shells have threads"),
+            (ROPE, "thin", {"materials": [Material(warp=0.5)]},
+                "materials: only shells have threads"),
+            (ROPE, "mpm", {"mass": 2.0}, "mass: only rods and shells have points"),
+            (cloth(**SHEET), "thin", {"natural_curvature": 0.0},
+                "natural_curvature: only rods may begin"),
+            (cloth(**SHEET), "thin", {"stretch": 1.01}, "stretch: only rods may be longer"),
+        )],
+    (Simulator, {**MEETS, "obstacles": [BALL], "solver": Solver(engine="mpm")},
+        "only rods and shells meet obstacles, not a rope of the mpm engine"),
+    # obstacles
+    (Sphere, {"radius": -0.1, "position": [0, 0, 0]}, "Sphere radius must be positive"),
+    (Sphere, {"radius": 0.1, "position": [0, 0, nan]}, "Sphere position"),
+    (Sphere, {"radius": 0.1, "position": [0, 0, 0], "friction": -1.0}, "Sphere friction"),
+    (Cuboid, {"size": (0.1, 0.1), "position": [0, 0, 0]}, "Cuboid size"),
+    (Cuboid, {"size": (1, 1, 1), "rounding": 0.6, "position": [0, 0, 0]}, r"rounded by 0\.6 m"),
+    (Capsule.between, {"a": (0, 0, 1), "b": (0, 0, 1), "radius": 0.1},
+        "ends are the same place"),
+    (Simulator, {**MEETS, "obstacles": BALL}, "obstacles must be a list"),
+    (Simulator, {**MEETS, "obstacles": [Table(height=0.0)]}, r"obstacles\[0\]"),
+    (Simulator, {**MEETS, "obstacles": [replace(BALL, radius=0.1)]},
+        r"55 mm inside the obstacle 0 \(Sphere\)"),
+    (Simulator, {**MEETS, "materials": [MATERIAL] * 2,
+        "obstacles": [[BALL], [replace(BALL, radius=0.004)]]},
+        "fits between the body's points, which are 10 mm apart"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "body", [ROPE, cloth(width=0.2, height=0.2, thickness=0.002, dx=0.02)], ids=["rope", "cloth"]
-)
-def test_materials_without_a_time_step(body):
-    message = refused(flat_simulator, body=body, materials=[MATERIAL, Material(E=1e30)])
-    assert re.search(
-        r"world 1 \(E 1e\+30 Pa.*substep would be .*e-1[67] s, the shortest is", message
-    )
-    assert "substep" in refused(flat_simulator, body=body, materials=[MATERIAL], substep=1e-30)
+@pytest.mark.parametrize(("make", "given", "words"), UNFIT)
+def test_what_does_not_fit_together_is_said(make, given, words):
+    assert re.search(words, refused(make, **given))
+
+
+def test_what_fits_all_the_same():
+    Gripper(**PATH, hold_from=1.0, hold_until=1.0)  # never closes
+    Simulator(BLOCK, [Material(E=1e4)], solver=Solver(engine="mpm"))
 
 
 def test_grippers_that_miss_say_by_how_much():

@@ -67,12 +67,9 @@ def test_kernels_go_where_they_can_be_written(nowhere, monkeypatch, caplog, name
 def test_code_of_others_is_not_run(nowhere, kind):
     """A folder that others can write is not taken, nor a link or a file of that name."""
     usual = nowhere / f"gendom-kernels-{os.geteuid()}"
+    make = {"open": usual.mkdir, "link": lambda: usual.symlink_to(nowhere), "file": usual.touch}
+    make[kind]()
     if kind == "open":
-        usual.mkdir()
         usual.chmod(0o777)
-    elif kind == "link":
-        usual.symlink_to(nowhere)
-    else:
-        usual.touch()
     kept = device._folder_of_this_user()
     assert kept != str(usual) and os.stat(kept).st_mode & 0o077 == 0

@@ -12,6 +12,7 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Solver, Table, cloth, rope
 from gendom.sim.mpm import tape as mpm_tape
 from gendom.sim.mpm.engine import MpmEngine
+from sim.thin.shared import assert_same_derivatives
 from validation.bench import flat_simulator
 
 TIMES = [0.015, 0.03]
@@ -95,35 +96,29 @@ def test_derivatives_by_everything_equal_central_differences(options):
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype, monkeypatch):
-    recorded = Rollout(scene(worlds=2, dtype=dtype))
-    x = recorded.forward(TIMES)
-    assert all(segment.recorded for segments in segments_of(recorded) for segment in segments)
+def test_segments_of_any_length_recorded_or_repeated_give_the_same_derivatives(dtype, monkeypatch):
+    """Repeated substeps to the bit; segments of other lengths are summed in another order."""
+
+    def run():
+        one = Rollout(scene(worlds=2, dtype=dtype))
+        x = one.forward(TIMES)
+        (kept, _), recorded = segments_of(one), [s.recorded for k in segments_of(one) for s in k]
+        return x, len(kept), recorded, one.backward(weights(x.shape))
+
+    x, few, recorded, expected = run()
+    assert all(recorded) and np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
     monkeypatch.setattr(mpm_tape, "MEMORY", {"cpu": 0})
-    repeated = Rollout(scene(worlds=2, dtype=dtype))
-    assert np.array_equal(x, repeated.forward(TIMES))
-    assert not any(segment.recorded for segments in segments_of(repeated) for segment in segments)
-    bar = weights(x.shape)
-    a, b = recorded.backward(bar), repeated.backward(bar)
-    for name in STEPS:
-        assert np.array_equal(getattr(a, name), getattr(b, name)), name
-
-
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_segments_of_any_length_give_the_same_derivatives(dtype, monkeypatch):
-    one, other = (Rollout(scene(worlds=2, dtype=dtype)) for _ in range(2))
-    x = one.forward(TIMES)
-    bar = weights(x.shape)
-    a = one.backward(bar)
+    y, _, again, same = run()
     monkeypatch.setattr(mpm_tape, "LONGEST_ON_CPU", 7)
-    assert np.array_equal(x, other.forward(TIMES))
-    assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
-    b = other.backward(bar)
-    assert len(segments_of(other)[0]) > 4 * len(segments_of(one)[0])
+    z, many, _, other = run()
+    assert not any(again) and many > 4 * few
+    assert np.array_equal(x, y) and np.array_equal(x, z)
+    rounding = 1e-5 if dtype == "float32" else 1e-12
     for name in STEPS:
-        expected, rounding = getattr(a, name), 1e-5 if dtype == "float32" else 1e-12
-        off = np.abs(getattr(b, name) - expected).max()
-        assert off <= rounding * np.abs(expected).max(), name
+        values = getattr(expected, name)
+        assert np.array_equal(getattr(same, name), values), name
+        off = np.abs(getattr(other, name) - values).max()
+        assert off <= rounding * np.abs(values).max(), name
 
 
 @pytest.mark.parametrize("engine", ["mpm", "thin"])
@@ -191,18 +186,10 @@ def test_a_long_rollout_stays_within_its_memory():
 )
 def test_all_worlds_at_once_have_the_derivatives_of_each(options, device):
     """What a GPU does, which runs on the CPU too, against the CPU's own way."""
-    options = {"worlds": 2, **options}
-    check_derivatives(rollout(**options), rollout(together=True, device=device, **options))
-
-
-def check_derivatives(*rollouts):
-    """All rollouts give the first one's positions and derivatives."""
-    frames = [one.forward(TIMES) for one in rollouts]
-    found = [one.backward(weights(frames[0].shape)) for one in rollouts]
-    for x, gradients in zip(frames[1:], found[1:], strict=True):
-        np.testing.assert_allclose(x, frames[0], rtol=0.0, atol=1e-13)
-        for name in STEPS:
-            expected = getattr(found[0], name)
-            np.testing.assert_allclose(
-                getattr(gradients, name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
-            )
+    frames, found = [], []
+    for where in ({}, {"together": True, "device": device}):
+        one = rollout(worlds=2, **where, **options)
+        frames.append(one.forward(TIMES))
+        found.append(vars(one.backward(weights(frames[0].shape))))
+    np.testing.assert_allclose(frames[1], frames[0], rtol=0.0, atol=1e-13)
+    assert_same_derivatives(found[1], found[0], rtol=1e-7, atol=1e-9)

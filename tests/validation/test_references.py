@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from gendom.errors import SimulationError
-from gendom.materials import Material
-from validation.bench import Bench, absolute, relative
+from validation.bench import absolute, relative
 from validation.elastica import lateral_load, sag
-from validation.readings import mechanics, swing
-from validation.specimens import block
+from validation.readings import swing
 
 
 def test_elasticas_have_known_limits():
@@ -35,21 +33,3 @@ def test_swing_reads_frequency_and_decay_and_refuses_noise():
     assert own.error == 0.3 and own.passed and not own.relative
     with pytest.raises(SimulationError, match="a: measured nan"):
         absolute("a", "m", 0.0, math.nan, 0.3, "s")
-
-
-def test_mechanics_of_a_block():
-    """P = M v and m v^2 / 2 of one that only moves; E strain^2 / 2 for each volume of one that is
-    stretched by 1 %, with Poisson's contraction."""
-    body, strain = block((0.04, 0.03, 0.02), 0.01, centre=(0.1, 0.2, 0.3)), 0.01
-    volume, material = 0.04 * 0.03 * 0.02, Material(E=1.0e4, nu=0.3, density=500.0)
-    bench = Bench(threads=1)
-    s = bench.simulate(body, [material], gravity=(0, 0, 0))
-    s.set_velocities((1.0, 2.0, 3.0))
-    m, mass = mechanics(s), 500.0 * volume
-    assert m.mass == pytest.approx(mass) and m.centre == pytest.approx([0.1, 0.2, 0.3])
-    assert m.P == pytest.approx(mass * np.array([1.0, 2.0, 3.0]))
-    assert m.L == pytest.approx(np.zeros(3), abs=1e-12)
-    assert (m.kinetic, m.elastic) == pytest.approx((mass * 7.0, 0.0), abs=1e-15)
-    x = body.x * (1.0 + strain * np.array([1.0, -0.3, -0.3]))
-    m = mechanics(bench.simulate(body, [material], gravity=(0, 0, 0), positions=x))
-    assert m.elastic == pytest.approx(1.0e4 * strain**2 / 2.0 * volume, rel=0.02)

@@ -62,23 +62,29 @@ def scene(body, worlds, hands, height, **options):
     return s
 
 
-def check_derivatives(simulator, p, steps, times, rel):
+LENGTHS = ("positions", "gripper_positions", "gripper_radius", "thickness")
+
+
+def check_derivatives(simulator, p, steps, times, rel, of_lengths: float | None = 2e-8):
     """Assert that derivatives of a random loss are those of central differences.
 
     Args:
         simulator: Makes a simulator of dictionaries of inputs.
         p: Inputs.
-        steps: Direction and length of differences by the names of inputs; None: random.
+        steps: Of differences by the names of inputs, relative to these.
         times: Of frames [s].
         rel: Allowed relative error.
+        of_lengths: Steps of lengths [m], within which nothing may begin to touch or slide in
+            another step; None: relative as of others.
     """
     rng, rollout = np.random.default_rng(1), Rollout(simulator([p]))
     x0 = rollout.forward(times)
     weights = rng.normal(size=x0.shape)
     found = rollout.backward(weights)
-    for name, (way, h) in steps.items():
-        if way is None:
-            way = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
+    for name, share in steps.items():
+        h = share * max(np.abs(p[name]).max(), 1e-2)
+        h = of_lengths if of_lengths and name in LENGTHS else h
+        way = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
         changed = lambda by, name=name, way=way: p | {name: p[name] + by * way}  # noqa: E731
 
         def losses(by, name=name, changed=changed):
@@ -120,18 +126,30 @@ def difference(losses, h):
     return found[-1]
 
 
-def check_worlds(run, count):
-    """Assert that each of so many worlds, which ``run(chosen)`` simulates and differentiates, moves
-    as it does alone, bit for bit."""
-    x, together = run(list(range(count)))
-    for k in range(count):
-        y, alone = run([k])
+def check_worlds(simulator, worlds, times):
+    """Assert that each world of a batch moves as it does alone, bit for bit, and has its
+    derivatives."""
+
+    def run(chosen):
+        rollout = Rollout(simulator(chosen))
+        x = rollout.forward(times)
+        weights = np.random.default_rng(1).normal(size=(len(times), 1, *x.shape[2:]))
+        return x, rollout.backward(np.repeat(weights, len(chosen), axis=1))
+
+    x, together = run(worlds)
+    for k, world in enumerate(worlds):
+        y, alone = run([world])
         np.testing.assert_array_equal(x[:, k], y[:, 0])
-        for name, values in vars(alone).items():
-            if values is not None:
-                np.testing.assert_allclose(
-                    getattr(together, name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
-                )
+        one = {n: v[k : k + 1] for n, v in vars(together).items() if v is not None}
+        assert_same_derivatives(one, vars(alone), rtol=1e-12, atol=0.0)
+
+
+def assert_same_derivatives(found, expected, rtol, atol):
+    """Of dictionaries by inputs; ``atol`` for the largest derivative by each."""
+    for name, values in expected.items():
+        if values is not None:
+            allowed = 1e-20 + atol * np.abs(values).max(initial=0.0)
+            np.testing.assert_allclose(found[name], values, rtol, allowed, err_msg=name)
 
 
 def model_of(body):

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, cloth, rope
 from gendom.sim.thin.engine import ThinEngine
@@ -109,22 +108,3 @@ def test_a_rod_takes_on_its_share_of_the_curvature():
     ends = ahead[:, [0, -1]] / np.linalg.norm(ahead[:, [0, -1]], axis=2, keepdims=True)
     turned = np.arccos(np.clip((ends[:, 0] * ends[:, 1]).sum(axis=1), -1.0, 1.0))
     assert turned / turned[0] == pytest.approx([1.0, 0.5, 0.0], abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("kind", "engine", "changes", "message"),
-    [
-        ("rope", "mpm", {"membrane": 1e5}, "materials: only rods and shells have a modulus"),
-        ("cloth", "mpm", {"shear": 0.5}, "materials: only shells have threads"),
-        ("rope", "thin", {"warp": 0.5}, "materials: only shells have threads"),
-        ("rope", "mpm", {"mass": 2.0}, "mass: only rods and shells have points"),
-        ("cloth", "thin", {"natural_curvature": 0.0}, "natural_curvature: only rods may begin"),
-        ("cloth", "thin", {"stretch": 1.01}, "stretch: only rods may be longer"),
-    ],
-)
-def test_what_others_have_is_refused(kind, engine, changes, message):
-    body = cloth(**SIZES) if kind == "cloth" else ROPE
-    own = {name: changes[name] for name in changes if name in ("membrane", "shear", "warp")}
-    others: dict[str, Any] = {name: changes[name] for name in changes if name not in own}
-    with pytest.raises(ParameterError, match=message):
-        flat_simulator(body, [replace(MATERIAL, **own)], engine=engine, **others)

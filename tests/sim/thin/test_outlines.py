@@ -182,29 +182,6 @@ def test_grippers_hold_cloth_only():
 
 # ---- outlines -------------------------------------------------------------------------
 
-BOW = [(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.1)]
-SMALL = 0.2 * np.array(SQUARE) + 0.08
-
-
-@pytest.mark.parametrize(
-    ("outline", "message"),
-    [
-        (BOW, r"outline, near \(0, 0.1\) m: crosses or touches itself"),
-        ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
-        ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
-        ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
-        ([(0, 0), (0.2, 0), (0.1, math.nan)], "holds numbers that are not finite"),
-        ([SQUARE, SMALL + 0.5], "hole 1: is not inside of the outline"),
-        ([SQUARE, SMALL + 0.1], "outline, near .* crosses or touches hole 1"),
-        ([SQUARE, SMALL, 0.5 * SMALL + 0.05], "hole 2: is inside of hole 1"),
-        ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
-        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
-    ],
-)
-def test_bad_outlines_are_named(outline, message):
-    with pytest.raises(ParameterError, match=message):
-        cloth(outline=outline, **SHEET)
-
 
 def test_what_the_lattice_cannot_resolve_is_named():
     neck = [(0, 0), (0.1, 0), (0.1, 0.05), (0.2, 0.05), (0.2, 0), (0.3, 0), (0.3, 0.1), (0.2, 0.1),

@@ -69,7 +69,6 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
     Model, Paths, Grips = types.Model, types.Paths, types.Grips
     Substep, ConditionsAdjoint = types.Substep, types.ConditionsAdjoint
     Records, fields, taped = types.Records, make_moving(variant), make_taped(variant)
-    place = fields.place
     paths_of = make_paths(real)
     section_centre = _section_centre(types, fields.x_of)
     taped_section_centre = _section_centre(types, taped.x_of)
@@ -96,11 +95,6 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
                 lost = model.friction[now.w] * given / slip
             change = vec3(-lost * u[0], -lost * u[1], given)
         return change
-
-    @wp.func
-    def is_near_table(x: vec3, model: Model):
-        """Whether the section of a particle at x may touch the table."""
-        return x[2] < real(2.0) * (model.contact_radius + model.dx)
 
     @wp.func
     def spring(now: Substep, modulus: real, model: Model):
@@ -191,7 +185,7 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
 
     @wp.func
     def add_x(adjoint: Records, w: int, p: int, value: vec3):
-        i = place(adjoint, w, p)
+        i = fields.place(adjoint, w, p)
         fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + value)
 
     @wp.func

@@ -21,8 +21,7 @@ from gendom.sim.mpm.grid import grown_room, room_for
 from gendom.sim.mpm.gripped import AHEAD
 from gendom.sim.mpm.kernels import make_advance
 from gendom.sim.mpm.particles import Variant
-from gendom.sim.mpm.step import DIVERGED, GRID_FULL, INVERTED, NOTHING_HELD, OK
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import DIVERGED, GRID_FULL, INVERTED, NOTHING_HELD, OK, make_types
 from gendom.sim.paths import paths_on
 from gendom.sim.setting import DRAG, Frames, Setting, spread
 
@@ -148,12 +147,13 @@ class MpmEngine(Engine):
         span = np.diff(time)[:, None]
         steps = np.maximum(1, np.ceil(span / s.substep - 1e-9)).astype(np.int32)
         steps = np.where(span > 0.0, steps, 0)
-        plan = self.filled(self.types.FramePlan, time=time, steps=steps, particles=particles)
+        dt, FramePlan = span / np.maximum(1, steps), self.types.FramePlan
+        plan = self.filled(FramePlan, time=time, steps=steps, dt=dt, particles=particles)
         plan.x = wp.empty((T, W, len(particles)), dtype=self.types.vec3, device=s.device)
         frame = np.zeros(W, dtype=np.int32)
         frame[list(self.failures)] = T  # worlds that failed are through
         self.clock.frame.assign(frame)
-        self.clock.dt.assign(span[0] / np.maximum(1, steps[0]))
+        self.clock.dt.assign(dt[0])
         self.clock.step.zero_()
         self.clock.status.zero_()
         self.used = True
@@ -267,9 +267,8 @@ class MpmEngine(Engine):
     def make_state(self) -> Any:
         """States at zero, as ``carried`` names them; all have the worlds' own ``low``."""
         W, N, State = self.num_worlds, self.num_points, self.types.State
-        have = {name: W if name in self.carried else 0 for name in ("x", "v", "C", "Z")}
-        shapes = {name: (n, 6, N) if name == "Z" else (n, N) for name, n in have.items()}
-        state = self.allocate(State, **shapes)
+        have = {name: (W if name in self.carried else 0, N) for name in ("x", "v", "C", "Z")}
+        state = self.allocate(State, **have)
         state.low = self.low
         return state
 

@@ -36,7 +36,6 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
     vec3, Model, Grips, Substep = types.vec3, types.Model, types.Grips, types.Substep
     ConditionsAdjoint = types.ConditionsAdjoint
     Records, before, fields = types.Records, make_taped(variant), make_moving(variant)
-    particle = fields.particle
     sync, add_by_warp = make_block(real).sync, make_block(real).add_by_warp
     boundary = make_boundary(variant)
     pose_type = wp.types.matrix((4, 3), wp.float64)
@@ -50,7 +49,7 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
             grips.held[now.w] = 0
         sync()
         for i in range(now.thread, N, now.threads):
-            p = particle(stored, now.w, i)
+            p = fields.particle(stored, now.w, i)
             free = grips.free[now.w, p]
             grips.stored_free[now.w, i] = free
             if free < real(1.0):
@@ -125,7 +124,7 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
                     i = grips.held_index[now.w, n]
                     u = before.q(tape, now.slot, i) / now.mass
                     if model.table == 1:
-                        u += by.touched[now.w, particle(adjoint, now.w, i) // model.section]
+                        u += by.touched[now.w, fields.particle(adjoint, now.w, i) // model.section]
                     by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = boundary.driven_adjoint(
                         now, g, grips.held_number[now.w, n], grips.held_modulus[now.w, n],
                         real(1.0) - share, before.x(tape, now.slot, i), u, model,

@@ -16,24 +16,10 @@ from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.particles import (
-    ORDERLY,
-    Variant,
-    make_loading,
-    make_moving,
-    make_reordering,
-    make_sorting,
-)
-from gendom.sim.mpm.step import (
-    DIVERGED,
-    GRID_FULL,
-    NOTHING_HELD,
-    OK,
-    make_substep,
-    make_substep_adjoint,
-)
+from gendom.sim.mpm.particles import ORDERLY, Variant, make_loading, make_moving, make_sorting
+from gendom.sim.mpm.step import make_substep, make_substep_adjoint
 from gendom.sim.mpm.transfer import make_bspline
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import DIVERGED, GRID_FULL, NOTHING_HELD, OK, make_types
 
 SUMS = 4
 """Sums of derivatives by a particle's parameters, see ``particles``."""
@@ -54,7 +40,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     Paths, Grips = types.Paths, types.Grips
     Records, fields, loading = types.Records, make_moving(variant), make_loading(variant)
     row_at, rebuild = make_bspline(real, windowed=False).row_at, make_rebuild(variant)
-    boundary, sort_records = make_boundary(variant), make_sorting(variant)
+    boundary, sort_records = make_boundary(variant), make_sorting(variant).sort
     pose_ahead, list_gripped = make_poses(real).pose_ahead, make_gripped(variant).list_gripped
     substep, begin = make_substep(variant, taped=taped), _make_begin(real)
     block = make_block(real)
@@ -62,17 +48,8 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     keeps, SORTS = wp.constant(int(taped)), wp.constant(variant.sorts)
     # known when a kernel is made: on the CPU, kernels with tiles must not run on several threads
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
-    resident = wp.constant(int(variant.room > 0))
     number_bytes = wp.constant(4 if real == wp.float32 else 8)
     before_nodes = wp.constant(variant.components)
-
-    @wp.func
-    def frame_substep(frame: int, w: int, plan: FramePlan):
-        """Length of a world's substeps in a frame [s]; 0 where it has none."""
-        dt = wp.float64(0.0)
-        if plan.steps[frame, w] > 0:
-            dt = (plan.time[frame + 1] - plan.time[frame]) / wp.float64(plan.steps[frame, w])
-        return dt
 
     @wp.func
     def next_event(w: int, t: wp.float64, paths: Paths):
@@ -161,7 +138,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         status = int(clock.status[w])
         if frame >= frames or status != OK:
             return
-        dt = frame_substep(frame, w, plan)
+        dt = plan.dt[frame, w]
         step = int(clock.step[w])
         t = plan.time[frame] + wp.float64(step) * dt
         now = begin(w, thread, threads, state.x.shape[1], dt, model)
@@ -184,7 +161,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         # the nodes' velocities stand behind the particles where they fit
         velocity_at = row_at(world_grid.velocity, own)
         offset = (before_nodes * now.N + 3) // 4 * 4
-        if resident == 1 and offset + 4 * world_grid.momentum.shape[1] <= numbers:
+        if IN_SHARED_MEMORY and offset + 4 * world_grid.momentum.shape[1] <= numbers:
             velocity_at = block.resident_at(number_bytes * offset)
         grid = velocities_at(world_grid, velocity_at)
         load_all(now, afresh, model, state, particles)
@@ -249,7 +226,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                 posed = -AHEAD
                 if frame < frames:
                     steps = plan.steps[frame, w]
-                    dt = frame_substep(frame, w, plan)
+                    dt = plan.dt[frame, w]
                     # not by a function: a struct that is assigned whole does not stay in registers
                     now.h = real(dt)
                     now.keep_velocity = wp.exp(-model.velocity_damping[w] * now.h)
@@ -276,7 +253,7 @@ def make_reverse(variant: Variant) -> Any:
     Clock, Model, Grid, Substep = types.Clock, types.Model, types.Grid, types.Substep
     Paths, Grips, State = types.Paths, types.Grips, types.State
     ConditionsAdjoint = types.ConditionsAdjoint
-    Records, reorder = types.Records, make_reordering(variant)
+    Records, reorder = types.Records, make_sorting(variant).reorder
     substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
     poses, begin = make_poses(real), _make_begin(real)
     list_gripped, loading = make_gripped(variant).list_gripped, make_loading(variant)

@@ -72,8 +72,8 @@ class Variant:
 @functools.cache
 def make_moving(variant: Variant) -> SimpleNamespace:
     """Particles while they move, or derivatives by them: ``x``, ``v``, ``C``, ``q``, ``low``,
-    ``put_x`` and so on of the i-th record of a row, ``get_Z`` and ``put_Z`` of its filtered stress,
-    ``particle``, which it is of; ``place`` of particle p, and its ``x_of``."""
+    ``put_x`` and so on of the i-th record of a row, ``Z``, its filtered stress, ``particle``, which
+    it is of; ``place`` of particle p, and its ``x_of``."""
     return _access(variant.real, STRESS, resident=variant.room > 0, taped=False)
 
 
@@ -108,14 +108,6 @@ def _access(real: Any, stress: int, *, resident: bool, taped: bool) -> SimpleNam
         return {name: get, f"put_{name}": put}
 
     @wp.func
-    def get_Z(s: Records, row: int, c: int, i: int):
-        return get(s.of, row, wp.static(stress) + c, i)
-
-    @wp.func
-    def put_Z(s: Records, row: int, c: int, i: int, value: real):
-        put(s.of, row, wp.static(stress) + c, i, value)
-
-    @wp.func
     def order_of(s: Records, row: int):
         order = row
         if TAPED == 1:
@@ -131,6 +123,7 @@ def _access(real: Any, stress: int, *, resident: bool, taped: bool) -> SimpleNam
         return s.place[order_of(s, row), p]
 
     found = field("C", types.mat33, f"mat_t<3, 3, {number}>", AFFINE)
+    found |= field("Z", types.symmetric, f"vec_t<6, {number}>", stress)
     for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
         found |= field(name, types.vec3, f"vec_t<3, {number}>", first)
     x = found["x"]
@@ -156,8 +149,7 @@ def make_loading(variant: Variant) -> SimpleNamespace:
         fields.put_v(stored, w, i, state.v[w, p])
         fields.put_C(stored, w, i, state.C[w, p])
         if damped == 1:
-            for c in range(6):
-                fields.put_Z(stored, w, c, i, state.Z[w, c, p])
+            fields.put_Z(stored, w, i, state.Z[w, p])
 
     @wp.func
     def unload(stored: Records, w: int, i: int, p: int, state: State):
@@ -166,21 +158,23 @@ def make_loading(variant: Variant) -> SimpleNamespace:
         state.v[w, p] = fields.v(stored, w, i)
         state.C[w, p] = fields.C(stored, w, i)
         if damped == 1:
-            for c in range(6):
-                state.Z[w, c, p] = fields.get_Z(stored, w, c, i)
+            state.Z[w, p] = fields.Z(stored, w, i)
 
     return functions_of(locals())
 
 
 @functools.cache
-def make_reordering(variant: Variant) -> Any:
-    """Build ``reorder``, after which the i-th record of a world is the ``spare_order[w, i]``-th."""
-    types, fields = make_types(variant.real), make_moving(variant)
-    Substep, Records, sync = types.Substep, types.Records, make_block(variant.real).sync
+def make_sorting(variant: Variant) -> SimpleNamespace:
+    """Build ``reorder``, after which the i-th record of a world is the ``spare_order[w, i]``-th,
+    and ``sort``, which puts a world's records in the order of their lowest nodes."""
+    real = variant.real
+    types = make_types(real)
+    Model, Substep, Grid, Records = types.Model, types.Substep, types.Grid, types.Records
+    fields, locate, block = make_moving(variant), make_transfer(real).locate, make_block(real)
     COMPONENTS = wp.constant(variant.components)
 
     @wp.func
-    def reorder(now: Substep, records: Records, more: wp.array3d(dtype=variant.real)):
+    def reorder(now: Substep, records: Records, more: wp.array3d(dtype=real)):
         """Together with the rows [W, n, N] of ``more``."""
         of, spare = records.of, records.spare
         for i in range(now.thread, more.shape[2], now.threads):
@@ -189,24 +183,12 @@ def make_reordering(variant: Variant) -> Any:
                 spare[now.w, c, i] = fields.get(of, now.w, c, j)
             for c in range(more.shape[1]):
                 spare[now.w, COMPONENTS + c, i] = more[now.w, c, j]
-        sync()
+        block.sync()
         for i in range(now.thread, more.shape[2], now.threads):
             for c in range(COMPONENTS):
                 fields.put(of, now.w, c, i, spare[now.w, c, i])
             for c in range(more.shape[1]):
                 more[now.w, c, i] = spare[now.w, COMPONENTS + c, i]
-
-    return reorder
-
-
-@functools.cache
-def make_sorting(variant: Variant) -> Any:
-    """Build ``sort``, which puts a world's records in the order of their lowest nodes."""
-    real = variant.real
-    types = make_types(real)
-    Model, Substep, Grid, Records = types.Model, types.Substep, types.Grid, types.Records
-    fields, reorder = make_moving(variant), make_reordering(variant)
-    locate, block = make_transfer(real).locate, make_block(real)
 
     @wp.func
     def node_of(now: Substep, i: int, grid: Grid, records: Records):
@@ -248,4 +230,4 @@ def make_sorting(variant: Variant) -> Any:
             put_near(records.near, now.w, i, p, model.lattice, records.place, now.w)
         block.sync()
 
-    return sort
+    return functions_of(locals())

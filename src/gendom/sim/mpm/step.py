@@ -24,14 +24,7 @@ from gendom.sim.mpm.gripped import make_gripped
 from gendom.sim.mpm.internal_forces import make_internal_forces
 from gendom.sim.mpm.particles import MASS, Variant, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
-from gendom.sim.mpm.types import make_types
-
-OK = 0
-GRID_FULL = 1
-INVERTED = 2
-DIVERGED = 3
-NOTHING_HELD = 4
-"""Status of a world in which a gripper closed on nothing."""
+from gendom.sim.mpm.types import INVERTED, OK, make_types
 
 
 @functools.cache
@@ -69,8 +62,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
             kept.put_v(tape, now.slot, i, fields.v(particles, now.w, i))
             kept.put_C(tape, now.slot, i, fields.C(particles, now.w, i))
             if damped == 1:
-                for c in range(6):
-                    kept.put_Z(tape, now.slot, c, i, fields.get_Z(particles, now.w, c, i))
+                kept.put_Z(tape, now.slot, i, fields.Z(particles, now.w, i))
 
     @wp.func
     def record_momenta(now: Substep, particles: Records, tape: Records):
@@ -84,7 +76,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         share = real(1.0) / real(size)
         for s in range(now.thread, now.N // size, now.threads):
             first = fields.x_of(particles, now.w, s * size)
-            if boundary.is_near_table(first, model):
+            if first[2] < real(2.0) * (model.contact_radius + model.dx):  # it may touch
                 x = vec3()
                 q = vec3()
                 for p in range(s * size, (s + 1) * size):

@@ -17,7 +17,7 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.engine import REBUILD, Group, MpmEngine
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
 from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU
-from gendom.sim.mpm.step import GRID_FULL
+from gendom.sim.mpm.types import GRID_FULL
 
 SHORTEST, LONGEST, LONGEST_ON_CPU = 8, 256, 64
 """Bounds on the substeps of a segment."""
@@ -185,9 +185,8 @@ class Segment:
         """For the kernel: where the worlds begin [s], how many substeps they have, the clock."""
         e, own, f = self.group.engine, self.group.worlds, self.frame
         began, dt, substeps, age = np.zeros((4, e.num_worlds))
-        time = plan.time.numpy()
-        dt[own] = (time[f + 1] - time[f]) / np.maximum(plan.steps.numpy()[f, own], 1)
-        began[own] = time[f] + self.step * dt[own]
+        dt[own] = plan.dt.numpy()[f, own]
+        began[own] = plan.time.numpy()[f] + self.step * dt[own]
         substeps[own], age[own] = self.substeps, self.age
         clock = e.types.Clock()
         clock.dt, clock.age = e.array(dt, wp.float64), e.array(age, wp.int32)

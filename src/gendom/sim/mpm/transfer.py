@@ -125,11 +125,6 @@ def make_transfer(real: Any) -> SimpleNamespace:
         )  # fmt: skip
 
     @wp.func
-    def place_of(R: Any):
-        """Derivative by the place in cells, the last row of ``gather_with_slope``."""
-        return vec3(R[4, 0], R[4, 1], R[4, 2])
-
-    @wp.func
     def given_by(now: Substep, x: vec3, q: vec3, C: mat33, grid: Grid):
         """What a particle gives to the grid: its lowest node, its place above, its coefficients."""
         node, f = locate(now, x, grid)
@@ -145,7 +140,7 @@ def make_transfer(real: Any) -> SimpleNamespace:
         u = vec3(R[0, 0], R[0, 1], R[0, 2])
         A_bar = affine_of(f, R)
         share = now.mass / now.inv_dx
-        x_bar = now.inv_dx * (place_of(R) - share * (wp.transpose(C) * u))
+        x_bar = now.inv_dx * (vec3(R[4, 0], R[4, 1], R[4, 2]) - share * (wp.transpose(C) * u))
         by_mass = R[0, 3] + wp.ddot(A_bar, C) / now.inv_dx
         return x_bar, u, share * A_bar, by_mass
 
@@ -168,6 +163,8 @@ def make_transfer(real: Any) -> SimpleNamespace:
         node, f, c = taken_by(now, x, v_bar, C_bar, grid)
         R = bspline.gather_with_slope(grid.velocity, now.row, grid.start, now.layout, node, f, c)
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
-        return now.inv_dx * (place_of(R) - (real(4.0) * now.inv_dx) * (wp.transpose(C_bar) * v))
+        return now.inv_dx * (
+            vec3(R[4, 0], R[4, 1], R[4, 2]) - (real(4.0) * now.inv_dx) * (wp.transpose(C_bar) * v)
+        )
 
     return functions_of(locals())

@@ -12,6 +12,9 @@ import warp as wp
 
 from gendom.sim.paths import make_path_type
 
+OK, GRID_FULL, INVERTED, DIVERGED, NOTHING_HELD = range(5)
+"""Statuses of a world; the last one: a gripper closed on nothing."""
+
 
 @functools.cache
 def make_types(real: Any) -> SimpleNamespace:
@@ -22,6 +25,7 @@ def make_types(real: Any) -> SimpleNamespace:
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
+    symmetric = wp.types.vector(6, real)  # xx, yy, zz, xy, xz, yz
 
     @wp.struct
     class Model:
@@ -119,7 +123,7 @@ def make_types(real: Any) -> SimpleNamespace:
         x: wp.array2d(dtype=vec3)  # [W, N] [m]
         v: wp.array2d(dtype=vec3)  # [W, N] [m/s]
         C: wp.array2d(dtype=mat33)  # [W, N] [1/s]
-        Z: wp.array3d(dtype=real)  # [W, 6, N] filtered stress, of bodies with damping [Pa]
+        Z: wp.array2d(dtype=symmetric)  # [W, N] filtered stress, of bodies with damping [Pa]
         low: wp.array2d(dtype=vec3)  # [W, N] what rounding leaves out of x, in float32 [m]
         sums: wp.array3d(dtype=real)  # [W, 4, N] derivatives by each particle's parameters
 
@@ -156,6 +160,7 @@ def make_types(real: Any) -> SimpleNamespace:
 
         time: wp.array(dtype=wp.float64)  # [T + 1] where each begins, and the last one's end [s]
         steps: wp.array2d(dtype=wp.int32)  # [T, W] equal substeps of each
+        dt: wp.array2d(dtype=wp.float64)  # [T, W] their length; 0 where there are none [s]
         particles: wp.array(dtype=wp.int32)  # [P] whose positions are recorded where a frame ends
         x: wp.array3d(dtype=vec3)  # [T, W, P] [m]
 
@@ -180,8 +185,8 @@ def make_types(real: Any) -> SimpleNamespace:
         touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
 
     return SimpleNamespace(
-        real=real, vec3=vec3, vec4=vec4, mat33=mat33, compensates=real == wp.float32,
-        Model=Model, Substep=Substep, Grid=Grid, Paths=make_path_type(real), Grips=Grips,
-        State=State, Records=Records, Clock=Clock, FramePlan=FramePlan,
+        real=real, vec3=vec3, vec4=vec4, mat33=mat33, symmetric=symmetric, Model=Model,
+        compensates=real == wp.float32, Substep=Substep, Grid=Grid, Paths=make_path_type(real),
+        Grips=Grips, State=State, Records=Records, Clock=Clock, FramePlan=FramePlan,
         ConditionsAdjoint=ConditionsAdjoint,
     )  # fmt: skip

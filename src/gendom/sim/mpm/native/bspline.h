@@ -16,10 +16,8 @@
 // What is handed around by value must stay in registers.
 #if defined(__CUDA_ARCH__)
 #define GENDOM_INLINE __device__ __forceinline__
-constexpr bool on_cuda = true;
 #else
 #define GENDOM_INLINE inline
-constexpr bool on_cuda = false;
 #endif
 
 namespace gendom {
@@ -32,8 +30,6 @@ using lowest_node = wp::vec_t<3, int>;
 
 #if defined(__CUDA_ARCH__)
 template <typename real> using four = vec4<real>;
-template <typename V> GENDOM_INLINE V times(const V& a, const V& b) { return wp::cw_mul(a, b); }
-template <typename real> GENDOM_INLINE four<real> row_of(const real* a) { return {a[0], a[1], a[2], a[3]}; }
 
 // whole values, whose alignment the compiler does not see
 GENDOM_INLINE vec4<float> load(const vec4<float>* node) {
@@ -60,25 +56,26 @@ GENDOM_INLINE void add(vec4<float>* node, const vec4<float>& h) {
 }
 GENDOM_INLINE void add(vec4<double>* node, const vec4<double>& h) { wp::atomic_add(node, h); }
 #else
-template <typename real> struct register_of;
-template <> struct register_of<float> {
-    typedef float four __attribute__((ext_vector_type(4)));
-    typedef four anywhere __attribute__((aligned(4)));  // in memory
-};
-template <> struct register_of<double> {
-    typedef double four __attribute__((ext_vector_type(4)));
-    typedef four anywhere __attribute__((aligned(8)));
-};
-template <typename real> using four = typename register_of<real>::four;
-template <typename real> inline auto& at_address(const real* a) {
-    return *(typename register_of<real>::anywhere*)a;
+template <typename real> using four = real __attribute__((ext_vector_type(4)));
+template <typename real> using eight = real __attribute__((ext_vector_type(8)));
+
+// In memory only numbers are aligned.
+template <typename V, typename real> inline V load_as(const real* a) {
+    typedef V loose __attribute__((aligned(sizeof(real))));
+    return *(const loose*)a;
 }
-template <typename V> inline V times(const V& a, const V& b) { return a * b; }
-template <typename real> inline four<real> row_of(const real* a) { return at_address(a); }
-template <typename real> inline four<real> load(const vec4<real>* node) { return at_address(node->c); }
-template <typename real> inline void store(vec4<real>* node, const four<real>& h) { at_address(node->c) = h; }
-template <typename real> inline void add(vec4<real>* node, const four<real>& h) { at_address(node->c) += h; }
+template <typename real> inline void store(vec4<real>* node, const four<real>& h) {
+    typedef four<real> loose __attribute__((aligned(sizeof(real))));
+    *(loose*)node = h;
+}
+template <typename real> inline four<real> load(const vec4<real>* node) {
+    return load_as<four<real>>(node->c);
+}
 #endif
+
+template <typename real> GENDOM_INLINE four<real> row_of(const sums<4, real>& c, int n) {
+    return {c.data[n][0], c.data[n][1], c.data[n][2], c.data[n][3]};
+}
 
 // Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
 // momentum if told to.
@@ -154,8 +151,7 @@ template <typename real> struct stencil {
 
     // Call add(3 i + j, k, value) for every node.
     template <typename adder> GENDOM_INLINE void spread(const sums<4, real>& c, adder add) const {
-        const four<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
-        const four<real> A2 = row_of(c.data[3]);
+        const four<real> Q = row_of(c, 0), A0 = row_of(c, 1), A1 = row_of(c, 2), A2 = row_of(c, 3);
         #pragma unroll
         for (int i = 0; i < 3; ++i) {
             const four<real> Qi = Q + A0 * real(i);
@@ -181,7 +177,8 @@ inline wp::mat_t<rows, 4, real> scatter(const wp::mat_t<rows, 4, real>& window, 
     vec4<real>* nodes = &wp::index(grid, row, 0) + node[2];
     const columns_at column(start, layout, node);
     stencil<real>(f).spread(c, [&](int n, int k, const four<real>& h) {
-        gendom::add(nodes + column(n / 3, n % 3) + k, h);
+        vec4<real>* to = nodes + column(n / 3, n % 3) + k;
+        store(to, gendom::load(to) + h);
     });
     return window;
 }
@@ -190,8 +187,69 @@ template <unsigned rows, typename real>
 inline void flush(const wp::mat_t<rows, 4, real>&, const lowest_node&, const nodes_of<real>&, int,
                   const wp::array_t<int>&, int) {}
 
+// Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
+// In float32 two nodes of a column fill a register; what nodes of a plane share is multiplied once.
+template <int rows, typename real>
+inline sums<rows, real> gather(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
+                               int layout, const lowest_node& node, const vec3<real>& f,
+                               const sums<4, real>& c = {}) {
+    constexpr bool sloped = rows == 5;
+    const stencil<real> at(f);
+    const columns_at column(start, layout, node);
+    const real* nodes = (&wp::index(grid, row, 0) + node[2])->c;
+    four<real> V = {}, C0 = {}, C1 = {}, C2 = {}, X = {}, Y = {}, Z = {};
+    const auto take = [&](auto Q, auto A0, auto A1, auto wz, auto sz, const real* nodes, int level) {
+        typedef decltype(Q) part;
+        part v = {}, c0 = {}, c1 = {}, x = {}, y = {}, z = {};
+        #pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            const auto h = [&](int j) { return load_as<part>(nodes + 4 * column(i, j)); };
+            const part h0 = h(0), h1 = h(1), h2 = h(2), u1 = h1 * at.wy[1], u2 = h2 * at.wy[2];
+            const part u = h0 * at.wy[0] + u1 + u2, k = u1 + u2 + u2, s = u * at.wx[i];
+            v = v + s;
+            if (i) c0 = c0 + s * real(i);
+            c1 = c1 + k * at.wx[i];
+            if constexpr (sloped) {
+                const part q = i ? Q + A0 * real(i) : Q, d1 = h1 * at.sy[1], d2 = h2 * at.sy[2];
+                const part p = u * q + k * A1, d = (h0 * at.sy[0] + d1 + d2) * q + (d1 + d2 + d2) * A1;
+                x = x + p * at.sx[i];
+                y = y + d * at.wx[i];
+                z = z + p * at.wx[i];
+            }
+        }
+        const auto add = [](four<real>& to, const part& a) {
+            if constexpr (sizeof(part) == sizeof(to)) to = to + a;
+            else to = to + a.lo + a.hi;
+        };
+        v = v * wz;
+        add(V, v), add(C0, c0 * wz), add(C1, c1 * wz);
+        if constexpr (sizeof(part) > sizeof(V)) C2 = v.hi;
+        else if (level) C2 = C2 + v * real(level);
+        if constexpr (sloped) add(X, x * wz), add(Y, y * wz), add(Z, z * sz);
+    };
+    const auto join = [](const four<real>& a, const four<real>& b) {
+        return eight<real>(__builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7));
+    };
+    const auto first_two = [&](const real* w) { return join(four<real>(w[0]), four<real>(w[1])); };
+    const four<real> Q = row_of(c, 0), A0 = row_of(c, 1), A1 = row_of(c, 2), A2 = row_of(c, 3);
+    if constexpr (sizeof(real) == 4) {
+        take(join(Q, Q + A2), join(A0, A0), join(A1, A1), first_two(at.wz), first_two(at.sz), nodes, 1);
+    } else {
+        take(Q, A0, A1, four<real>(at.wz[0]), four<real>(at.sz[0]), nodes, 0);
+        take(Q + A2, A0, A1, four<real>(at.wz[1]), four<real>(at.sz[1]), nodes + 4, 1);
+    }
+    take(Q + A2 + A2, A0, A1, four<real>(at.wz[2]), four<real>(at.sz[2]), nodes + 8, 2);
+    const auto sum = [](const four<real>& a) { return a[0] + a[1] + a[2] + a[3]; };
+    sums<rows, real> out;
+    vec4<real>* into = (vec4<real>*)out.data;
+    store(into, V), store(into + 1, C0), store(into + 2, C1), store(into + 3, C2);
+    if constexpr (sloped) store(into + 4, four<real>{sum(X), sum(Y), sum(Z), real(0)});
+    return out;
+}
+
 #else
-// What neighbouring particles give to the same nodes is summed in a window of 27 nodes first.
+// On CUDA node by node. What neighbouring particles give to the same nodes is summed in a window of
+// 27 nodes first.
 
 template <typename real> using window_of = wp::mat_t<27, 4, real>;
 
@@ -251,9 +309,6 @@ GENDOM_INLINE void flush(const window_of<real>& window, const lowest_node& held,
     hand_over(window, held, lowest_node(-1, -1, -1), grid, row, start, layout);
 }
 
-#endif
-
-// Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
 template <int rows, typename real>
 GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
                                       const wp::array_t<int>& start, int layout,
@@ -263,36 +318,35 @@ GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
     const stencil<real> at(f);
     const columns_at column(start, layout, node);
     const vec4<real>* nodes = &wp::index(grid, row, 0) + node[2];
-    four<real> V = {}, C0 = {}, C1 = {}, C2 = {}, X = {}, Y = {}, Z = {};
-    const four<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
-    const four<real> A2 = row_of(c.data[3]);
+    vec4<real> V, C0, C1, C2, X, Y, Z;
+    const vec4<real> Q = row_of(c, 0), A0 = row_of(c, 1), A1 = row_of(c, 2), A2 = row_of(c, 3);
     // loops that stay loops spare the instruction cache
-    #pragma unroll (on_cuda ? 1 : 3)
+    #pragma unroll 1
     for (int i = 0; i < 3; ++i) {
         const real wxi = at.pick(at.wx, i), sxi = at.pick(at.sx, i);
-        #pragma unroll (on_cuda && sloped ? 1 : 3)
+        #pragma unroll (sloped ? 1 : 3)
         for (int j = 0; j < 3; ++j) {
             const vec4<real>* h = nodes + column(i, j);
-            const four<real> h0 = gendom::load(h), h1 = gendom::load(h + 1), h2 = gendom::load(h + 2);
+            const vec4<real> h0 = gendom::load(h), h1 = gendom::load(h + 1), h2 = gendom::load(h + 2);
             const real wyj = at.pick(at.wy, j), w = wxi * wyj;
-            const four<real> u1 = h1 * at.wz[1], u2 = h2 * at.wz[2];
-            const four<real> u = h0 * at.wz[0] + u1 + u2, k = u1 + u2 + u2, s = u * w;
+            const vec4<real> u1 = h1 * at.wz[1], u2 = h2 * at.wz[2];
+            const vec4<real> u = h0 * at.wz[0] + u1 + u2, k = u1 + u2 + u2, s = u * w;
             V = V + s;
             C0 = C0 + s * real(i);
             C1 = C1 + s * real(j);
             C2 = C2 + k * w;
             if constexpr (sloped) {
-                const four<real> z = h0 * at.sz[0] + h1 * at.sz[1] + h2 * at.sz[2];
-                const four<real> zk = h1 * at.sz[1] + h2 * (at.sz[2] + at.sz[2]);
-                const four<real> Qij = Q + A0 * real(i) + A1 * real(j);
-                const four<real> p = times(u, Qij) + times(k, A2);
+                const vec4<real> z = h0 * at.sz[0] + h1 * at.sz[1] + h2 * at.sz[2];
+                const vec4<real> zk = h1 * at.sz[1] + h2 * (at.sz[2] + at.sz[2]);
+                const vec4<real> Qij = Q + A0 * real(i) + A1 * real(j);
+                const vec4<real> p = wp::cw_mul(u, Qij) + wp::cw_mul(k, A2);
                 X = X + p * (sxi * wyj);
                 Y = Y + p * (wxi * at.pick(at.sy, j));
-                Z = Z + (times(z, Qij) + times(zk, A2)) * w;
+                Z = Z + (wp::cw_mul(z, Qij) + wp::cw_mul(zk, A2)) * w;
             }
         }
     }
-    const auto sum = [](const four<real>& a) { return a[0] + a[1] + a[2] + a[3]; };
+    const auto sum = [](const vec4<real>& a) { return a[0] + a[1] + a[2] + a[3]; };
     sums<rows, real> out;
     #pragma unroll
     for (int a = 0; a < 4; ++a)
@@ -300,5 +354,7 @@ GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
     if constexpr (sloped) out.data[4][0] = sum(X), out.data[4][1] = sum(Y), out.data[4][2] = sum(Z);
     return out;
 }
+
+#endif
 
 }  // namespace gendom
