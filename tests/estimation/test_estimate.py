@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import (
     UNKNOWNS,
@@ -52,18 +53,48 @@ def test_known_modulus_comes_back(rope_lift, found):
     assert record["noise"]["sensor"] == pytest.approx(1e-3, rel=0.2)
 
 
+def test_another_seed_finds_the_same(rope_lift, settings):
+    """Where the starts are drawn elsewhere, the modulus comes back, here of a stiffer rope."""
+    seen = rope_lift.seen(E_over_rho=3.0 * rope_lift.truth.E_over_rho, seed=3)
+    other = estimate(seen, replace(settings, starts=2, seed=1)).record
+    initial = [start["initial"]["E_over_rho"] for start in other["starts"]]
+    assert other["seed"] == 1 and len(initial) == 2
+    assert abs(math.log(initial[0] / initial[1])) > 0.1
+    assert other["E_over_rho"] == pytest.approx(3.0 * rope_lift.truth.E_over_rho, rel=0.1)
+
+
 def test_what_a_gripper_does_unsaid_is_found(rope_lift, settings):
     """Held higher and farther in than stated, and seen late: E does not suffer. Cameras that are
     5 mm off show in one Chamfer distance and not in the other."""
     told = {"grip_height": 0.004, "grip_along": 0.005, "delay": 0.04}
     off = np.eye(4)
     off[:3, 3] = 0.003, -0.003, 0.003
-    found = estimate(rope_lift.seen(frames=20, **told).moved(off), settings)
+    found = estimate(rope_lift.seen(frames=20, **told), settings)
     assert found.usable
-    for name, most in (("grip_height", 0.0045), ("grip_along", 0.005), ("delay", 0.02)):
+    for name, most in (("grip_height", 0.0015), ("grip_along", 0.003), ("delay", 0.02)):
         assert found.theta[name] == pytest.approx(told[name], abs=most)
     assert found.theta.E_over_rho == pytest.approx(rope_lift.truth.E_over_rho, rel=0.1)
-    assert found.record["chamfer_mean_registered"] < found.record["chamfer_mean"] - 0.0005
+    record = estimate(rope_lift.seen().moved(off), replace(settings, max_iterations=6)).record
+    assert record["chamfer_mean_registered"] < record["chamfer_mean"] - 0.001
+
+
+@pytest.mark.slow
+def test_a_cloth_s_modulus_comes_back(cloth_lift):
+    """Within a third: of a limp cloth a lift tells less."""
+    seen = cloth_lift.seen(points=400)
+    found = estimate(seen, EstimateSettings(starts=1, scene=cloth_lift.settings))
+    assert found.usable, found.verdict.reasons
+    modulus = cloth_lift.truth.E_over_rho
+    assert abs(math.log(found.theta.E_over_rho / modulus)) < math.log(4.0 / 3.0)
+
+
+@pytest.mark.slow
+def test_red_rope(real_data):
+    """Bending length near the 0.11 to 0.12 m of an elastica fitted by hand; the replay matches."""
+    recording = Recording.read(real_data / "rope_red_lift.npz")
+    found = estimate(recording, EstimateSettings(starts=1))
+    assert found.usable
+    assert 0.09 <= found.record["bending_length"] <= 0.15 and found.record["chamfer_last"] <= 0.012
 
 
 def test_what_is_known_is_not_looked_for(rope_lift, lifted, settings):
