@@ -135,13 +135,6 @@ def test_genesis_sheet_is_flat_and_held_by_its_corner(tmp_path):
     a, b, c = (x[faces[:, k]] for k in range(3))
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(0.04)
     assert np.linalg.norm(x[arrays["held"], :2], axis=1).max() <= 0.025 + 1e-9
-    # all iterations of an edge are a spring of the softened sheet: n r / (c + 2 dt^2 / mass)
-    m, h = catalogue.get("denim").material(), catalogue.get("denim").across.typical
-    k = 3.0 / 8.0 * min(m.E * h, m.density * h * 9.81 * 0.2 / (2.0 * 0.002))
-    added = 2.0 * float(arrays["step"]) ** 2 * len(x) / (m.density * h * 0.04)
-    soft = float(arrays["stretch_compliance"]) + added
-    assert int(arrays["iterations"]) * 0.3 / soft == pytest.approx(k)
-    assert added < soft and float(arrays["bending_compliance"]) > 0.0
 
 
 def test_draws_are_variants_for_randomisation(tmp_path, estimate):

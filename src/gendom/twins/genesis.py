@@ -7,11 +7,6 @@ their stiffness is 3/8 E h along sides and twice that along diagonals; E h is so
 others. Genesis divides the compliance of a hinge by the squared sine of its angle, so that its
 moment goes with the cube of that: it is that of the plate at one angle, of a cloth that bends over
 its bending length.
-
-Each of n iterations of a constraint with gradients g, of points of mass m, moves them by
-r C g / m / (g g / m + c / dt^2): together as a spring of stiffness n r / (c + dt^2 g g / m). So the
-compliance is c = n r / k - dt^2 g g / m, with g g = 2 for an edge and about 6 / h^2 for a hinge,
-and the step so short that this is above 0.
 """
 
 from __future__ import annotations
@@ -31,18 +26,15 @@ SCRIPT = "genesis_lift.py"
 SEGMENTS, SIDE = 20, 31
 """Segments of a rope, and points along a cloth's side."""
 
-STEP = 1e-3
-"""Of a rope, and the longest of a cloth [s]."""
-
-ITERATIONS, RELAXED = 10, {"stretch": 0.3, "bending": 0.1}
-"""Of the position-based solver, and Genesis' own factors on its corrections."""
+STEP = {"rope": 1e-3, "cloth": 2e-3}
+"""[s]."""
 
 
 def written(item: Item) -> tuple[Lift, dict[str, str], Array, dict[str, Any]]:
     """The lift, text files by name, the places [M, 3] at rest that are compared [m] (middles of a
     rope's segments or a cloth's vertices), and arrays for the script."""
     lift = Lift(item=item, edge=size_of(item) / SEGMENTS)
-    common = {"kind": item.kind, "friction": item.friction, "step": STEP}
+    common = {"kind": item.kind, "friction": item.friction, "step": STEP[item.kind]}
     if isinstance(item, Rope):
         return lift, {"rope.xml": _chain(item, lift)}, segment_points(lift, SEGMENTS), common
     places, triangles = sheet_points(lift, SIDE)
@@ -86,13 +78,9 @@ def _sheet(item: Any, places: Array, triangles: Any, hold: float) -> tuple[str, 
     angle = h / (D / (m.density * item.thickness * STANDARD_GRAVITY)) ** (1.0 / 3.0)
     points = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in places.tolist())
     faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (np.asarray(triangles) + 1).tolist())
-    light = len(places) / (m.density * item.thickness * item.side**2)  # 1 / mass of a point
-    kinds = {"stretch": (8.0 / 3.0 / sheet["stretch"], 2.0 * light, 1.0),
-             "bending": (1.0 / sheet["side_hinge"], 6.0 * light / h**2, angle**2)}  # fmt: skip
-    soft = {n: ITERATIONS * RELAXED[n] * row[0] for n, row in kinds.items()}
-    step = min(STEP, *(math.sqrt(0.5 * soft[n] / row[1]) for n, row in kinds.items()))
-    kept = {name: sheet[name] for name in ("held", "mass_per_area", "spacing")}
-    arrays = kept | {"step": step, "iterations": ITERATIONS, "thickness": item.thickness}
-    for n, (_, gradients, scale) in kinds.items():
-        arrays[f"{n}_compliance"] = scale * (soft[n] - gradients * step**2)
-    return points + faces, arrays
+    springs = {
+        "stretch_compliance": 8.0 / (3.0 * sheet["stretch"]),
+        "bending_compliance": angle**2 / sheet["side_hinge"],
+    }
+    kept = ("held", "mass_per_area", "spacing")
+    return points + faces, springs | {name: sheet[name] for name in kept}

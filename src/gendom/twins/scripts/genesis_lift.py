@@ -11,16 +11,15 @@ about = {name: value[()] for name, value in np.load(here / "lift.npz").items()}
 rope, dt, friction = about["kind"] == "rope", float(about["step"]), float(about["friction"])
 # neighbours are looked for in cells: small ones in a small room, or a step takes half a second
 reach, cell = 3.0 * float(np.abs(about["rest"]).max()), 2.0 * float(about.get("spacing", 0.01))
-thick = float(about.get("thickness", 0.1 * cell))  # points begin on the table, not in it
 
 gs.init(backend=gs.cpu, precision="64", logging_level="warning")
 scene = gs.Scene(
     sim_options=gs.options.SimOptions(dt=dt, gravity=(0.0, 0.0, -9.80665)),
     rigid_options=gs.options.RigidOptions(enable_self_collision=False),
     pbd_options=gs.options.PBDOptions(
-        max_stretch_solver_iterations=int(about.get("iterations", 1)),
-        max_bending_solver_iterations=int(about.get("iterations", 1)),
-        particle_size=thick,
+        max_stretch_solver_iterations=6,
+        max_bending_solver_iterations=3,
+        particle_size=0.2 * float(about.get("spacing", 0.01)),
         hash_grid_cell_size=cell,
         lower_bound=(-reach, -reach, 0.0),
         upper_bound=(reach, reach, reach),
@@ -85,17 +84,9 @@ def advance(was, now):
     if rope:
         body.set_dofs_position(was, [0, 1, 2], zero_velocity=False)
         body.set_dofs_velocity((now - was) / dt, [0, 1, 2])
-        scene.step()
-        return
-    body.set_particles_pos(about["rest"][about["held"]] + now, held)
+    else:
+        body.set_particles_pos(about["rest"][about["held"]] + now, held)
     scene.step()
-    # its points slide over rigid bodies without friction: what lies on the table has its own weight
-    x, v = (array(of()).reshape(-1, 3) for of in (body.get_particles_pos, body.get_particles_vel))
-    on = np.flatnonzero(x[:, 2] < 0.5 * thick + 1e-4)
-    speed = np.maximum(np.linalg.norm(v[on, :2], axis=1, keepdims=True), 1e-12)
-    v[on, :2] *= np.maximum(1.0 - friction * 9.80665 * dt / speed, 0.0)
-    v[held] = 0.0
-    body.set_particles_vel(v)
 
 
 lift(about, dt, advance, places)
