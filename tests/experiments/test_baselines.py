@@ -98,21 +98,21 @@ def descent_of(problem):
     descent = _Descent(Start(initial=vector, vector=vector), vector)
     loss.evaluate([descent])
     assert descent.seen is not None
-    return loss, descent, vector
+    return loss, descent, descent.seen, vector
 
 
 @pytest.mark.parametrize(("engine", "markers"), [("thin", True), ("thin", False), ("mpm", False)])
 def test_gradients_are_central_differences(short_lift, engine, markers):
     problem = short_lift(engine, markers)
-    loss, descent, vector = descent_of(problem)
+    loss, descent, seen, vector = descent_of(problem)
     for k, h in enumerate((1e-5, 1e-7)):
         x = problem.positions([vector + s * h * np.eye(2)[k] for s in (1.0, -1.0)])
-        ahead, behind = (loss.value(x[:, w], descent.seen) for w in range(2))
+        ahead, behind = (loss.value(x[:, w], seen) for w in range(2))
         assert descent.gradient[k] == pytest.approx(
             (ahead - behind) / (2.0 * h), rel=1e-3, abs=1e-6
         )
     assert descent.start.value == pytest.approx(
-        loss.value(problem.positions([vector])[:, 0], descent.seen), rel=1e-9
+        loss.value(problem.positions([vector])[:, 0], seen), rel=1e-9
     )
 
 
@@ -121,10 +121,10 @@ def test_gradients_by_how_it_is_held_are_differences(short_lift):
     problem = short_lift()
     settings = replace(problem.settings, unknowns=("E_over_rho", "grip_height"))
     wide = type(problem)([problem.scene], settings, known=problem.bases[0])
-    loss, descent, vector = descent_of(wide)
+    loss, descent, seen, vector = descent_of(wide)
     h = wide.prior.step[1]
     x = wide.positions([vector, vector + np.array([0.0, h])])
-    here, beside = (loss.value(x[:, w], descent.seen) for w in range(2))
+    here, beside = (loss.value(x[:, w], seen) for w in range(2))
     assert descent.gradient[1] == pytest.approx((beside - here) / h, rel=1e-6)
     assert abs(descent.gradient[1]) > 0.1
 

@@ -98,7 +98,7 @@ def scripted(tmp_path, words, target):
     folder = written(tmp_path, *words, "--to", target)
     arrays, script = dict(np.load(folder / "lift.npz")), (folder / "lift.py").read_text()
     compile(script, "lift.py", "exec")
-    sheet = {"held", "vertices", "triangles", "mass_per_area", "mu", "lam", "side_hinge", "spacing",
+    sheet = {"held", "triangles", "mass_per_area", "mu", "lam", "side_hinge", "spacing",
              "diagonal_hinge", "stretch_compliance", "bending_compliance"}  # fmt: skip
     read = set(re.findall(r'about\["(\w+)"', script))
     assert read - (sheet if arrays["kind"] == "rope" else set()) <= set(arrays)
