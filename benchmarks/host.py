@@ -45,7 +45,7 @@ def main():
     setattr(Run, "launch", made_up)  # noqa: B010
     # in batches as large as on a GPU
     demonstrations._count_together = lambda kind, shard_size, left, devices: shard_size
-    ThinEngine.groups = lambda self, most=0: [slice(0, self.num_worlds)]
+    ThinEngine.groups = lambda self, most=0, least=1: [slice(0, self.num_worlds)]
     source = Demonstrator(task=find_task(given.task)())
     with tempfile.TemporaryDirectory() as folder:
         for size in (64, given.size):  # the first one compiles

@@ -36,6 +36,8 @@ TABLES = {
     "posteriors of lifts of our own simulator, with tests of that; four seconds a rope",
     "npe": "a neural posterior of the library sbi, trained on such lifts of one rope, beside the "
     "estimator's on others: errors, coverage, seconds and simulations",
+    "two-hands": "random ropes between two hands of that scene, as markers and as clouds: errors, "
+    "intervals and the error of another motion; two minutes a rope",
     "verdict": "the same lifts, each recording corrupted in 48 ways, and what estimates say: "
     "refused, right or wrong; a lift of a rope takes about five minutes on a core",
     "calibration": "random pictures of a board with one fault each: refused, or true and stated "
@@ -136,7 +138,7 @@ def parser() -> argparse.ArgumentParser:
         "--lifts",
         type=int,
         default=40,
-        help="of coverage, verdict, calibration, sbc and npe: how many",
+        help="of coverage, verdict, calibration, sbc, two-hands and npe: how many",
     )
     add("--jobs", type=int, default=2, help="processes of the MuJoCo test scene and of training")
     add(

@@ -61,7 +61,7 @@ def depth(folder):
 
 @cache
 def topics():
-    return import_module("perception.test_ros_cameras").rows_of(world, "raw")[0]
+    return import_module("perception.test_ros_cameras").rows_of("raw")[0]
 
 
 def bag(path, version, rows=None, length="0.4"):
