@@ -77,7 +77,8 @@ def test_one_camera_and_json_that_has_all_frames(lift, command):
     code, printed, out = command(lift[0], *RED, "--cameras", "right", "--json")
     found = json.loads(printed.out)
     assert code == 0 and found["warnings"] == [] and found["disagreement"] is None
-    assert np.shape(Recording.read(out).camera_positions) == (1, 3)
+    positions = Recording.read(out).camera_positions
+    assert positions is not None and positions.shape == (1, 3)
     assert len(found["points_by_frame"]) == found["frames"] == 5 and found["seen_share"] > 0.8
     for row in found["points_by_frame"]:
         stages = [row[s] for s in ("depth", "workspace", "table", "colour", "voxels", "outliers")]
