@@ -49,6 +49,11 @@ def test_objects_of_files(found):
     assert item.material.E == known.E.typical
 
 
+def test_a_thick_rope_s_points_do_not_touch(found):
+    item = found(ROPE, diameter=0.03)
+    assert item.vertices == 10 and item.spacing > item.diameter
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

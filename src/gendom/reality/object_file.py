@@ -17,7 +17,7 @@ from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.materials import ASSUMED, KINDS, Material, catalogue, dimensionless_parameters
 from gendom.reading import read_toml
-from gendom.reality.objects import OBJECTS, PLAIN, RealCloth, RealObject, RealRope, vertices_of
+from gendom.reality.objects import OBJECTS, PLAIN, RealObject, RealRope, as_real, vertices_of
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
 """Defaults of numbers that a file may leave out."""
@@ -58,16 +58,16 @@ def read_object(path: str | os.PathLike) -> RealObject:
     good = isinstance(colour, list) and len(colour) == 3
     good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
     require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")
-    made = RealRope if kind == "rope" else RealCloth
+    made = KINDS[kind]
     try:
         usual = {} if material is None else _usual(str(material), kind)
         number = _numbers(table, usual, kind)
         elastic = {name: number[name] for name in ("E", "nu", "damping", "density")}
         own: dict[str, Any] = {name: number[name] for name in (*made.sizes, "friction")}
-        own |= {"name": Path(path).stem, "colour": tuple(colour)}
-        item = made(material=Material(**elastic), **own)
+        item = as_real(made(material=Material(**elastic), **own))
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from error
+    item = replace(item, name=Path(path).stem, colour=tuple(colour))
     if isinstance(item, RealRope):
         return item
     bends = dimensionless_parameters(item)["bending_ratio"] * item.side
