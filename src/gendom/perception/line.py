@@ -39,7 +39,7 @@ _FROM_HELD = 0.06  # [m]; at most, fingers hide so much of it
 _STEP, _PIECE = 0.004, 5  # [m] along the way, and so many steps
 _THICK = 1.6  # times the usual distance of points from it, a piece of a rope has not
 _MOST_THICK = 1 / 3  # of the points beside it; a line with more is no rope's
-_FINE = 0.007, (0.014, 0.01, 0.007)  # [m] as _NODE and _ROUND, where a rope lies near itself
+_FINE_NODE, _FINE_ROUNDS = 0.007, (0.014, 0.01, 0.007)  # [m]; where a rope lies near itself
 _AVOIDED = 6.0  # power of the steps there: a gap to the next turn costs more than the way around
 _THIN = 3.0  # times the median distance of points from a way; a lone rope's are nearer to it
 
@@ -79,8 +79,9 @@ def find_line(
     nodes, seen, longest = ways.nodes, ways.seen, float(ways.seen.max())
     own = _away(points, ways.to(int(seen.argmax())))[0] <= beside
     alone = bool(longest <= _ALONE * length and np.mean(~own) <= MOST_FAR)
-    for finer in () if not all_seen or (alone and longest >= least) else _FINE[1]:
-        near = _Ways(_nodes(points, _FINE[0], finer), held, finer, _AVOIDED)
+    explained = alone and longest >= least
+    for finer in _FINE_ROUNDS if all_seen and not explained else ():
+        near = _Ways(_nodes(points, _FINE_NODE, finer), held, finer, _AVOIDED)
         if least <= near.seen.max(initial=0.0) <= most and near.before <= _FROM_HELD:
             off, at = _away(points, near.to(int(near.seen.argmax())))
             thin = off <= min(max(_NODE, _THIN * np.median(off)), across / 2.0 + _NODE)
