@@ -85,13 +85,6 @@ def test_an_interrupted_method_keeps_its_best(short_lift, method):
     assert found.best.comparison is not None
 
 
-@pytest.mark.slow
-def test_evolution_is_seeded(short_lift):
-    ends = [few_members(short_lift(max_iterations=3, seed=s)).best.vector for s in (1, 1, 2)]
-    np.testing.assert_array_equal(ends[0], ends[1])
-    assert (ends[0] != ends[2]).any()
-
-
 def descent_of(problem):
     """The density loss, and its slopes beside the truth."""
     loss, vector = DensityLoss(problem), problem.prior.vector(truth_of(3300.0, 0.25))
@@ -225,19 +218,11 @@ def shaped(density):
     return density.reshape(*density.shape[:-1], *GRID.shape)
 
 
-def test_points_off_the_grid_are_ignored():
-    p, size = cloud(9), GRID.cell * (np.array(GRID.shape) - 1)
-    for side in (*np.eye(3), *-np.eye(3)):
-        away = GRID.origin + size / 2.0 + side * (size / 2.0 + 0.5)
-        d = GRID.splat(np.concatenate([p, away[None]]))
-        assert np.allclose(d, 0.9 * GRID.splat(p), atol=1e-12)
-
-
-@pytest.mark.parametrize("n", [1, 7, 200])
+@pytest.mark.parametrize("n", [1, 200])
 def test_density_has_the_clouds_mean(n):
     """Weights of 3 nodes an axis sum to one, the density's centre is the cloud's, and each axis'
     variance is cell^2 / 4 wider. A cloud moved by one cell has the same density one node further.
-    """
+    Points off the grid count, and weigh nothing."""
     p = cloud(n)
     d = shaped(GRID.splat(p))
     assert d.sum() == pytest.approx(1.0, abs=1e-12) and d.min() >= 0.0
@@ -251,17 +236,19 @@ def test_density_has_the_clouds_mean(n):
         assert variance == pytest.approx(p[:, axis].var() + GRID.cell**2 / 4.0)
         there = shaped(GRID.splat(p + GRID.cell * np.eye(3)[axis]))
         assert np.allclose(np.roll(d, 1, axis=axis), there, atol=1e-12)
+        for away in (GRID.origin, GRID.origin + GRID.cell * (np.array(GRID.shape) - 1)):
+            beyond = p.mean(axis=0)
+            beyond[axis] = away[axis] + np.sign(away[axis] - beyond[axis]) * 0.5
+            with_it = shaped(GRID.splat(np.concatenate([p, beyond[None]])))
+            assert np.allclose(with_it, d * n / (n + 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("margin", [0.0, 0.07])
-def test_a_grid_around_points_holds_them(margin):
+def test_a_grid_around_points_holds_them():
     """No weight of the points, nor of any within the margin, is lost; the longest side is full."""
     p = np.random.default_rng(3).uniform(size=(40, 3)) * [2.0, 1.0, 0.5]
-    grid = DensityGrid.around(p, margin=margin, resolution=24)
-    corners = np.array([p.min(axis=0) - margin, p.max(axis=0) + margin])
-    assert max(grid.shape) == 24
-    for q in (p, corners):
-        assert grid.splat(q).sum() == pytest.approx(1.0, abs=1e-9)
+    grid = DensityGrid.around(p, margin=0.07, resolution=24)
+    corners = np.array([p.min(axis=0) - 0.07, p.max(axis=0) + 0.07])
+    assert max(grid.shape) == 24 and grid.splat(corners).sum() == pytest.approx(1.0, abs=1e-9)
     assert grid.cell == pytest.approx(np.ptp(corners, axis=0).max() / 21.0)
 
 
