@@ -43,17 +43,16 @@ done: list = []
 
 @pytest.fixture
 def runs(tmp_path, monkeypatch) -> Runs:
+    def lifted(runs, name, task):
+        if name == RUBBER:
+            raise GendomError("it did not move", where=f"the lift of {name}")
+        return believed(Estimate.of(find_object(name)), task)
+
     done.clear()
     monkeypatch.setattr("gendom.reality.RealWorld", Formula)
     monkeypatch.setattr(module, "Simulation", Formula)
     monkeypatch.setattr(Runs, "lifted", lifted)
     return Runs(folder=tmp_path / "table")
-
-
-def lifted(runs, name, task):
-    if name == RUBBER:
-        raise GendomError("it did not move", where=f"the lift of {name}")
-    return believed(Estimate.of(find_object(name)), task)
 
 
 SMALL = Settings(trials=3, demonstrations=0, draws=2)

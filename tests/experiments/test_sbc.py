@@ -49,25 +49,6 @@ def test_limp_and_turned_stiff_ropes_are_found(seed):
     assert abs(math.log(found.record["bending_length"] / truth["bending_length"])) < 0.15
 
 
-def test_a_network_learns_where_a_rope_is():
-    """The posterior of how high points lie is as wide as what hides it."""
-    pytest.importorskip("sbi")
-    from experiments.npe import DRAWS, FRAMES, POINTS, answered, trained
-
-    rng, hidden = np.random.default_rng(0), 0.3
-    truth = rng.standard_normal((500, 2))
-    X = 0.1 * rng.standard_normal((500, FRAMES, POINTS, 3))
-    X[..., 2] += (truth[:, :1] + hidden * rng.standard_normal((500, 1)))[:, :, None]
-    posterior = trained(X[:400], truth[:400], "cpu", seed=0)
-    draws = answered(posterior, X[400:], "cpu")
-    assert draws.shape == (100, DRAWS, 2)
-    off = draws.mean(axis=1) - truth[400:]
-    assert off[:, 0].std() < 1.5 * hidden and 0.6 < off[:, 1].std() < 1.3
-    low, high = np.quantile(draws, (0.05, 0.95), axis=1)
-    inside = ((low < truth[400:]) & (truth[400:] < high)).mean(axis=0)
-    assert (inside > 0.75).all() and (inside < 0.99).any()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sbc", "npe"])
 def test_the_command_makes_the_table(name, tmp_path, table, monkeypatch):
