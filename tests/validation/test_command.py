@@ -16,8 +16,7 @@ def case(monkeypatch):
 
     def install(*values, stops=False):
         def measure(_):
-            for value in values:
-                yield absolute("length of a rope", "m", 2.0, value, 0.1, "a ruler")
+            yield from (absolute("length of a rope", "m", 2.0, x, 0.1, "a ruler") for x in values)
             if stops:
                 raise SimulationError("a particle turned inside out", where="world 3")
 
@@ -50,24 +49,20 @@ def test_rows_within_and_without(capsys, case, measured, code):
     assert ("0.2 m    0.1 m  FAILED\n" in out) == bool(code)
 
 
-def test_a_simulation_that_stops_fails_its_case_alone(capsys, case):
+def test_a_simulation_that_stops_fails_its_case_alone_and_json_tells_settings(capsys, case):
     case(stops=True)
-    assert main(["--quick", "--threads", "1", "--only", "test", "free-flight"]) == 1
+    words = ["--quick", "--threads", "1", "--dtype", "float32", "--only", "test", "free-flight"]
+    assert main(words) == 1
     out = capsys.readouterr().out
     assert "FAILED: world 3: a particle turned inside out" in out
     assert "3 of 3 checks within what is allowed; 1 case stopped" in out
-
-
-def test_json_tells_source_and_settings(capsys):
-    words = ["--quick", "--threads", "1", "--json", "--dtype", "float32", "--only", "free-flight"]
-    assert main(words) == 0
+    assert main([*words, "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
-    assert found["passed"] is True
     settings = {"device": "cpu", "dtype": "float32", "quick": True, "threads": 1}
-    assert found["settings"] == settings
-    (entry,) = found["cases"]
-    assert entry["name"] == "free-flight" and entry["failure"] is None
-    for one in entry["checks"]:
+    assert (found["passed"], found["settings"]) == (False, settings)
+    flight, test = found["cases"]
+    assert flight["name"] == "free-flight" and flight["failure"] is None and test["failure"]
+    for one in flight["checks"]:
         assert one["source"] and one["passed"] is True and one["error"] <= one["allowed"]
         assert one["error"] == abs(one["measured"] - one["expected"]) > 0.0
 
