@@ -70,21 +70,6 @@ def test_a_method_brings_back_the_modulus(short_lift, method, off, iterations):
     assert found.noise[0].sensor < 1e-3
 
 
-@pytest.mark.parametrize("method", [adam, few_members], ids=["adam", "differential-evolution"])
-def test_an_interrupted_method_keeps_its_best(short_lift, method):
-    problem = short_lift()
-
-    def stop(progress):
-        if progress.iteration == 2:
-            raise KeyboardInterrupt
-
-    problem._on_progress = stop
-    found = method(problem)
-    assert found.interrupted
-    assert found.best.iterations == 2
-    assert found.best.comparison is not None
-
-
 @pytest.mark.parametrize(
     ("engine", "markers", "other"),
     [("thin", True, "nu"), ("thin", False, "nu"), ("mpm", False, "nu"),
@@ -236,17 +221,3 @@ def test_a_grid_around_points_holds_them():
     corners = np.array([p.min(axis=0) - 0.07, p.max(axis=0) + 0.07])
     assert max(grid.shape) == 24 and grid.splat(corners).sum() == pytest.approx(1.0, abs=1e-9)
     assert grid.cell == pytest.approx(np.ptp(corners, axis=0).max() / 21.0)
-
-
-@pytest.mark.parametrize(
-    ("points", "options", "words"),
-    [
-        (np.zeros((0, 3)), {}, "finite points"),
-        ([[0.0, np.nan, 0.0]], {}, "finite points"),
-        ([[0.0, 0.0, 0.0]] * 3, {}, "coincide"),
-        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"resolution": 3}, "needs"),
-    ],
-)
-def test_bad_grids_are_refused(points, options, words):
-    with pytest.raises(ParameterError, match=words):
-        DensityGrid.around(points, **options)

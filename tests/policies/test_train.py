@@ -186,17 +186,6 @@ def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing
     assert missed(tuned, E > 0.5, 0.0) < 1.3 * missed(distal, E > 0.5, 0.0)
 
 
-def test_the_inverse_method_is_fine_tuned_to_other_actions(tmp_path):
-    sim, real = (
-        replace(d, action=np.stack([d.goal[:, 0] - shift, d.goal[:, 0]], axis=1))
-        for d, shift in ((toy(600), 0.0), (toy(200, seed=7), 0.03))
-    )
-    settings = Training(epochs=30, method="inverse", finetune_steps=100)
-    tuned = train(sim, tmp_path / "p.onnx", settings, finetune=real)
-    new = toy(500, seed=1)
-    assert abs((acted(tuned, new)[:, 0] - new.goal[:, 0]).mean() + 0.03) < 0.015
-
-
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
