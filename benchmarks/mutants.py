@@ -66,7 +66,7 @@ ROOMS = {
                 "test_reading datasets/test_clouds datasets/test_folder "
                 "datasets/test_recording"),
     "policies": ("policies", "policy adaptation graph",
-                 "policies/test_policy policies/test_adapt policies/test_names_are_data"),
+                 "policies/test_policy policies/test_adapt policies/test_demonstrations"),
     "robot": ("robot", "kinematics path motion planning collision",
               "robot/test_exact_robot robot/test_motion robot/test_collision "
               "robot/test_kinematics"),

@@ -70,63 +70,27 @@ def test_a_method_brings_back_the_modulus(short_lift, method, off, iterations):
     assert found.noise[0].sensor < 1e-3
 
 
-@pytest.mark.parametrize("method", [adam, few_members], ids=["adam", "differential-evolution"])
-def test_an_interrupted_method_keeps_its_best(short_lift, method):
-    problem = short_lift()
-
-    def stop(progress):
-        if progress.iteration == 2:
-            raise KeyboardInterrupt
-
-    problem._on_progress = stop
-    found = method(problem)
-    assert found.interrupted
-    assert found.best.iterations == 2
-    assert found.best.comparison is not None
-
-
-@pytest.mark.slow
-def test_evolution_is_seeded(short_lift):
-    ends = [few_members(short_lift(max_iterations=3, seed=s)).best.vector for s in (1, 1, 2)]
-    np.testing.assert_array_equal(ends[0], ends[1])
-    assert (ends[0] != ends[2]).any()
-
-
-def descent_of(problem):
-    """The density loss, and its slopes beside the truth."""
+@pytest.mark.parametrize(
+    ("engine", "markers", "other"),
+    [("thin", True, "nu"), ("thin", False, "nu"), ("mpm", False, "nu"),
+     ("thin", True, "grip_height")],
+)  # fmt: skip
+def test_gradients_are_central_differences(short_lift, engine, markers, other):
+    """That by the grip's height, which has no reverse mode, is a difference itself."""
+    problem = short_lift(engine, markers)
+    settings = replace(problem.settings, unknowns=("E_over_rho", other))
+    problem = type(problem)([problem.scene], settings, known=problem.bases[0])
     loss, vector = DensityLoss(problem), problem.prior.vector(truth_of(3300.0, 0.25))
     descent = _Descent(Start(initial=vector, vector=vector), vector)
     loss.evaluate([descent])
-    assert descent.seen is not None
-    return loss, descent, descent.seen, vector
-
-
-@pytest.mark.parametrize(("engine", "markers"), [("thin", True), ("thin", False), ("mpm", False)])
-def test_gradients_are_central_differences(short_lift, engine, markers):
-    problem = short_lift(engine, markers)
-    loss, descent, seen, vector = descent_of(problem)
-    for k, h in enumerate((1e-5, 1e-7)):
-        x = problem.positions([vector + s * h * np.eye(2)[k] for s in (1.0, -1.0)])
-        ahead, behind = (loss.value(x[:, w], seen) for w in range(2))
-        assert descent.gradient[k] == pytest.approx(
-            (ahead - behind) / (2.0 * h), rel=1e-3, abs=1e-6
-        )
-    assert descent.start.value == pytest.approx(
-        loss.value(problem.positions([vector])[:, 0], seen), rel=1e-9
-    )
-
-
-def test_gradients_by_how_it_is_held_are_differences(short_lift):
-    """Unknowns without a reverse mode, here the grip's height."""
-    problem = short_lift()
-    settings = replace(problem.settings, unknowns=("E_over_rho", "grip_height"))
-    wide = type(problem)([problem.scene], settings, known=problem.bases[0])
-    loss, descent, seen, vector = descent_of(wide)
-    h = wide.prior.step[1]
-    x = wide.positions([vector, vector + np.array([0.0, h])])
-    here, beside = (loss.value(x[:, w], seen) for w in range(2))
-    assert descent.gradient[1] == pytest.approx((beside - here) / h, rel=1e-6)
-    assert abs(descent.gradient[1]) > 0.1
+    seen = descent.seen or []
+    ends = [(1e-5, -1e-5), (1e-7, -1e-7) if other == "nu" else (problem.prior.step[1], 0.0)]
+    for k, (ahead, behind) in enumerate(ends):
+        x = problem.positions([vector + h * np.eye(2)[k] for h in (ahead, behind)])
+        slope = (loss.value(x[:, 0], seen) - loss.value(x[:, 1], seen)) / (ahead - behind)
+        assert descent.gradient[k] == pytest.approx(slope, rel=1e-3, abs=1e-6)
+    x = problem.positions([vector])[:, 0]
+    assert descent.start.value == pytest.approx(loss.value(x, seen), rel=1e-9)
 
 
 def test_what_adam_cannot_do_is_said(short_lift, monkeypatch):
@@ -225,19 +189,11 @@ def shaped(density):
     return density.reshape(*density.shape[:-1], *GRID.shape)
 
 
-def test_points_off_the_grid_are_ignored():
-    p, size = cloud(9), GRID.cell * (np.array(GRID.shape) - 1)
-    for side in (*np.eye(3), *-np.eye(3)):
-        away = GRID.origin + size / 2.0 + side * (size / 2.0 + 0.5)
-        d = GRID.splat(np.concatenate([p, away[None]]))
-        assert np.allclose(d, 0.9 * GRID.splat(p), atol=1e-12)
-
-
-@pytest.mark.parametrize("n", [1, 7, 200])
+@pytest.mark.parametrize("n", [1, 200])
 def test_density_has_the_clouds_mean(n):
     """Weights of 3 nodes an axis sum to one, the density's centre is the cloud's, and each axis'
     variance is cell^2 / 4 wider. A cloud moved by one cell has the same density one node further.
-    """
+    Points off the grid count, and weigh nothing."""
     p = cloud(n)
     d = shaped(GRID.splat(p))
     assert d.sum() == pytest.approx(1.0, abs=1e-12) and d.min() >= 0.0
@@ -251,29 +207,17 @@ def test_density_has_the_clouds_mean(n):
         assert variance == pytest.approx(p[:, axis].var() + GRID.cell**2 / 4.0)
         there = shaped(GRID.splat(p + GRID.cell * np.eye(3)[axis]))
         assert np.allclose(np.roll(d, 1, axis=axis), there, atol=1e-12)
+        for away in (GRID.origin, GRID.origin + GRID.cell * (np.array(GRID.shape) - 1)):
+            beyond = p.mean(axis=0)
+            beyond[axis] = away[axis] + np.sign(away[axis] - beyond[axis]) * 0.5
+            with_it = shaped(GRID.splat(np.concatenate([p, beyond[None]])))
+            assert np.allclose(with_it, d * n / (n + 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("margin", [0.0, 0.07])
-def test_a_grid_around_points_holds_them(margin):
+def test_a_grid_around_points_holds_them():
     """No weight of the points, nor of any within the margin, is lost; the longest side is full."""
     p = np.random.default_rng(3).uniform(size=(40, 3)) * [2.0, 1.0, 0.5]
-    grid = DensityGrid.around(p, margin=margin, resolution=24)
-    corners = np.array([p.min(axis=0) - margin, p.max(axis=0) + margin])
-    assert max(grid.shape) == 24
-    for q in (p, corners):
-        assert grid.splat(q).sum() == pytest.approx(1.0, abs=1e-9)
+    grid = DensityGrid.around(p, margin=0.07, resolution=24)
+    corners = np.array([p.min(axis=0) - 0.07, p.max(axis=0) + 0.07])
+    assert max(grid.shape) == 24 and grid.splat(corners).sum() == pytest.approx(1.0, abs=1e-9)
     assert grid.cell == pytest.approx(np.ptp(corners, axis=0).max() / 21.0)
-
-
-@pytest.mark.parametrize(
-    ("points", "options", "words"),
-    [
-        (np.zeros((0, 3)), {}, "finite points"),
-        ([[0.0, np.nan, 0.0]], {}, "finite points"),
-        ([[0.0, 0.0, 0.0]] * 3, {}, "coincide"),
-        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"resolution": 3}, "needs"),
-    ],
-)
-def test_bad_grids_are_refused(points, options, words):
-    with pytest.raises(ParameterError, match=words):
-        DensityGrid.around(points, **options)

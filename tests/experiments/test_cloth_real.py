@@ -1,4 +1,5 @@
-"""The table of cloths, in worlds whose shares are a formula."""
+"""The table of cloths, and the search for motions that drag them, in worlds whose shares are a
+formula."""
 
 from dataclasses import dataclass
 
@@ -9,13 +10,16 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from experiments import cloth_real as module
 from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
+from experiments.dragging import START, judged, search
 from experiments.runs import Runs
 from gendom.errors import GendomError
+from gendom.materials import dimensionless_parameters
 from gendom.materials.estimate import Estimate
 from gendom.policies.belief import believed
 from gendom.reality import find_object
 from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 COTTON, RUBBER = CLOTHS
 
@@ -43,17 +47,16 @@ done: list = []
 
 @pytest.fixture
 def runs(tmp_path, monkeypatch) -> Runs:
+    def lifted(runs, name, task):
+        if name == RUBBER:
+            raise GendomError("it did not move", where=f"the lift of {name}")
+        return believed(Estimate.of(find_object(name)), task)
+
     done.clear()
     monkeypatch.setattr("gendom.reality.RealWorld", Formula)
     monkeypatch.setattr(module, "Simulation", Formula)
     monkeypatch.setattr(Runs, "lifted", lifted)
     return Runs(folder=tmp_path / "table")
-
-
-def lifted(runs, name, task):
-    if name == RUBBER:
-        raise GendomError("it did not move", where=f"the lift of {name}")
-    return believed(Estimate.of(find_object(name)), task)
 
 
 SMALL = Settings(trials=3, demonstrations=0, draws=2)
@@ -94,3 +97,25 @@ def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
     done.clear()
     assert cloth_real(runs, SMALL) == result
     assert not done
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dragged(Simulation):
+    """Spreads best where the last x is 12 bending lengths."""
+
+    def carry_out(self, task, items, actions, **_):
+        last = np.asarray(actions)[:, -3] / np.array([i.side for i in items])
+        ratio = np.array([dimensionless_parameters(i)["bending_ratio"] for i in items])
+        return [Outcome(values={"share": s}) for s in 1.0 - np.abs(last - 12.0 * ratio)]
+
+
+def test_a_search_leads_each_family_to_a_better_motion():
+    families = ((0.06, 0.09), (0.12, 0.17))
+    found = search(
+        Dragged(), families, seconds=60.0, population=8, cloths=1, seed=0, generations=15,
+        start=[np.array(START)] * 2,
+    )  # fmt: skip
+    motions = np.array([START, found[0][0]])
+    share = judged(Dragged(), motions, families, 4, seed=1)
+    assert share.shape == (2, 2, 4)
+    assert share[0, 0].mean() < 0.2 < 0.6 < share[0, 1].mean()

@@ -1,20 +1,24 @@
-"""Whether intervals hold, from posteriors made by hand."""
+"""Whether intervals hold, from posteriors made by hand; ranks of drawn truths."""
 
 import json
 import math
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from experiments.__main__ import FIRST_REPORTED
 from experiments.coverage import check_unseen, covered, estimated_of, rank_band, shown_of
 from experiments.lifts import Lifts
+from experiments.sbc import imagined_lift, uniformity
 from gendom.errors import GendomError
 
 
-def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
+def rows_of(lifts, *, stated=1.0, bias=0.0):
     """Lifts whose ln E is found with a deviation of 0.05, and said to have `stated` times that."""
-    rng, sd = np.random.default_rng(seed), 0.05
+    rng, sd = np.random.default_rng(0), 0.05
     return [
         {
             "seed": n,
@@ -31,7 +35,6 @@ def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
     ]
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("wrong", "piles"),
     [
@@ -42,10 +45,10 @@ def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
         ({"bias": -0.06}, (-1,)),
     ],
 )
-def test_ranks_of_narrow_wide_or_shifted_posteriors_leave_the_band(wrong, piles, seed):
+def test_ranks_of_narrow_wide_or_shifted_posteriors_leave_the_band(wrong, piles):
     """Too narrow: both ends are too high; too wide: the middle is. An estimate that is too large:
     truths rank low."""
-    rows = rows_of(100, seed=seed, **wrong)
+    rows = rows_of(100, **wrong)
     (found,) = covered(rows, 0.9)
     assert found.uniform == (not wrong) and len(found.ranks) == sum(found.counts) == 100
     assert all(found.counts[end] > found.band[1] for end in piles)
@@ -53,15 +56,14 @@ def test_ranks_of_narrow_wide_or_shifted_posteriors_leave_the_band(wrong, piles,
     assert said in str(shown_of(rows, [found])[0])
 
 
-@pytest.mark.parametrize("stated", [0.1, 0.35])
-def test_what_is_added_makes_intervals_hold(stated):
+def test_what_is_added_makes_intervals_hold():
     """Errors have a deviation of 0.05, of which a part is stated; the rest is found."""
-    rows = rows_of(2000, stated=stated)
+    rows, stated = rows_of(2000, stated=0.35), 0.35 * 0.05
     (found,) = covered(rows, 0.9)
-    assert found.added == pytest.approx(0.05 * math.sqrt(1.0 - stated**2), rel=0.05)
+    assert found.added == pytest.approx(math.sqrt(0.05**2 - stated**2), rel=0.05)
     assert found.covered < 0.5
     for row in rows:
-        row["posterior"]["covariance"] = [[(stated * 0.05) ** 2 + found.added**2]]
+        row["posterior"]["covariance"] = [[stated**2 + found.added**2]]
     assert covered(rows, 0.9)[0].covered == pytest.approx(0.9, abs=1e-3)
     assert f"{found.added:.4f}" in str(shown_of(rows, [found], calibrate=True)[0])
 
@@ -83,36 +85,16 @@ def test_calibrating_writes_ranks_factors_and_a_picture(tmp_path, table):
     assert (tmp_path / "coverage-rope-swing-raw.png").stat().st_size > 1000
 
 
-def test_what_is_calibrated_is_not_the_stated_thickness():
-    """E / density is as uncertain as a thickness of 5 %; what the lift shows is a length."""
-    rows, rng = rows_of(400, stated=2.0), np.random.default_rng(1)
-    for row in rows:
-        row["posterior"]["names"] = ["E_over_rho", "thickness"]
-        found = 0.1 * math.exp(0.02 * rng.standard_normal())
-        row["truth"]["bending_length"], row["values"] = 0.1, {"bending_length": found}
-        half = 1.645 * 0.01
-        ends = [found * math.exp(-half), found * math.exp(half)]
-        row["intervals"] = {"bending_length": ends}
-    (known,) = covered(rows, 0.9, ("E_over_rho",))
-    assert known.factor == pytest.approx(2.0, rel=0.1) and known.covered < 0.7
-    assert known.added == pytest.approx(3.0 * 0.02 * math.sqrt(0.75), rel=0.2)
-
-
-def user_row(seed, *, truth, stated):
-    """A lift whose E is estimated to be 1e6 within a factor of `stated`."""
-    (row,), values = rows_of(1), {"E": 1.0e6, "bending_length": 0.1}
-    row["truth"] |= {"E": truth, "bending_length": 0.1}
-    ends = {"E": [1.0e6 / stated, 1.0e6 * stated], "bending_length": [0.09, 0.11]}
-    return {**row, "seed": seed, "values": values, "intervals": ends}
-
-
 def test_reported_are_the_intervals_that_users_get_and_what_measuring_adds(tmp_path, table):
     """Half of the exact intervals of E hold the truth; with measured sizes none does."""
+    (row,), values = rows_of(1), {"E": 1.0e6, "bending_length": 0.1}
+    row["values"] = values
+    row["intervals"] = {"E": [1.0e6 / 1.1, 1.0e6 * 1.1], "bending_length": [0.09, 0.11]}
     for n in range(4):
-        seed, exact = FIRST_REPORTED + n, user_row(n, truth=1.0e6 * (1.0 + 0.06 * n), stated=1.1)
-        wrong = user_row(n, truth=2.0e6, stated=1.1)
-        for row, which in ((exact, ""), (wrong, "-measured")):
-            (tmp_path / f"estimate-rope-{seed}{which}.json").write_text(json.dumps(row))
+        for E, which in ((1.0e6 * (1.0 + 0.06 * n), ""), (2.0e6, "-measured")):
+            one = {**row, "seed": n, "truth": row["truth"] | values | {"E": E}}
+            path = tmp_path / f"estimate-rope-{FIRST_REPORTED + n}{which}.json"
+            path.write_text(json.dumps(one))
     found = table("coverage", "--lifts", 4, "--measured", "--json")
     assert found["unknowns"]["E"]["covered"] == 0.5 and found["seed"] == FIRST_REPORTED
     assert found["unknowns"]["bending_length"]["covered"] == 1.0
@@ -147,3 +129,38 @@ def test_recordings_of_others_are_read_with_their_truths(rope_lift, tmp_path, ta
     assert row["kind"] == "rope" and ("fault" in row or row["verdict"]["usable"] in (True, False))
     error = table("coverage", "--given", tmp_path / "none", code=2)
     assert "has no NAME.npz with a NAME.json" in error
+
+
+@pytest.mark.parametrize(
+    ("sd", "bias", "right"), [(1.0, 0.0, True), (2.0, 0.0, False), (1.0, 0.6, False)]
+)
+def test_tests_of_ranks_tell_wrong_posteriors(sd, bias, right):
+    """Errors of a deviation and a bias, in those that posteriors state."""
+    ranks = norm.cdf(bias + sd * np.random.default_rng(0).standard_normal(200))
+    counts = np.histogram(ranks, 20, range=(0.0, 1.0))[0]
+    tests = uniformity(SimpleNamespace(ranks=ranks, counts=counts))  # type: ignore
+    assert (min(tests["chi_square_p"], tests["ecdf_p"]) > 0.01) == right
+    assert (tests["ecdf_distance"] < tests["ecdf_band"]) == right
+
+
+def test_imagined_lifts_repeat_and_are_not_alike():
+    """Clouds of the rope, within the cameras' errors, in the frames that are compared."""
+    (a, truth), (b, again), (_, other) = (imagined_lift(Lifts(), seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a.points, b.points)
+    assert truth == again and truth["E_over_rho"] != other["E_over_rho"]
+    first = a.frame(int(np.argmax(a.frame_valid)))
+    length, d = a.object.length, a.object.diameter
+    assert length is not None and d is not None
+    assert np.ptp(first[:, 0]) == pytest.approx(length, abs=0.02)
+    assert np.ptp(first[:, 2]) < 1.5 * d + 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sbc", "npe"])
+def test_the_command_makes_the_table(name, tmp_path, table, monkeypatch):
+    if name == "npe":
+        pytest.importorskip("sbi")
+        monkeypatch.setitem(import_module("experiments.npe").SIMULATIONS, "small", 32)
+    assert "covered" in table(name, "--lifts", 2, "--seed", 3)
+    made = json.loads(next(tmp_path.glob(f"{name}*[!0-9].json")).read_text())
+    assert made["lifts"] == 2

@@ -37,8 +37,10 @@ class Thrown(Throws):
 
 
 @pytest.fixture(autouse=True)
-def refined_in_closed_form(monkeypatch):
+def in_closed_form(monkeypatch):
     monkeypatch.setattr(Runs, "training_world", lambda *_: Thrown())
+    monkeypatch.setattr(ablation_module, "simulation", lambda *_: Thrown())
+    monkeypatch.setattr(rope_real_module, "Simulation", lambda **_: Thrown())
 
 
 @pytest.fixture
@@ -46,7 +48,7 @@ def runs(tmp_path) -> Runs:
     return Runs(folder=tmp_path / "table")
 
 
-def test_policies_are_trained_unless_they_are_there(runs, monkeypatch):
+def test_policies_are_trained_unless_they_are_there(runs):
     data = runs.demonstrations("set", Demonstrator(task=RopeReaching(), world=Thrown()), 200)
 
     def job(epochs, method="distal"):
@@ -65,8 +67,7 @@ def test_policies_are_trained_unless_they_are_there(runs, monkeypatch):
 
 
 @pytest.mark.slow
-def test_ablation_has_all_rows_and_parameters_that_count_help(runs, monkeypatch):
-    monkeypatch.setattr(ablation_module, "simulation", lambda *_: Thrown())
+def test_ablation_has_all_rows_and_parameters_that_count_help(runs):
     settings = ablation_module.Settings(
         demonstrations=400, epochs=25, goals=(5, 20), seeds=1, curve=(25, 500), steps=20, refine=4
     )
@@ -87,8 +88,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(runs, monkeypatch)
     assert list(x) == [25.0, 400.0] and y[1] == error["distal, both"]
 
 
-def test_generalization_has_both_domains_and_what_r2s2r_found(runs, monkeypatch):
-    monkeypatch.setattr(ablation_module, "simulation", lambda *_: Thrown())
+def test_generalization_has_both_domains_and_what_r2s2r_found(runs):
     settings = ablation_module.Settings(
         demonstrations=200, epochs=3, goals=(6,), seeds=1, steps=20, refine=1
     )
@@ -107,7 +107,6 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
     """The second reality reaches farther by 0.02: executions teach that."""
     real = Thrown(off=0.02)
     monkeypatch.setattr("gendom.reality.RealWorld", lambda **_: real)
-    monkeypatch.setattr(rope_real_module, "Simulation", lambda **_: Thrown())
 
     def lifted(self, name, task):
         m = (rope := find_object(name)).material
@@ -147,29 +146,23 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
     assert kept == {p.name: p.stat().st_mtime_ns for p in runs.folder.glob("*.onnx")}
 
 
-def executed(item, count=20):
-    rng = np.random.default_rng(0)
-    actions = TASK.sample_actions(item, rng, count)
-    outcomes = Throws().carry_out(TASK, [item] * count, actions)
-    return [
+def test_r2s2r_explains_one_object():
+    there = with_dimensionless(ROPE, {"bending_ratio": 0.5, "damping": 0.03})
+    actions = TASK.sample_actions(there, np.random.default_rng(0), 20)
+    outcomes = Throws().carry_out(TASK, [there] * 20, actions)
+    seen = [
         (ROPE, Execution(action=a, reached=np.array([o.values["x"]])))
         for a, o in zip(actions, outcomes, strict=True)
     ]
-
-
-def test_r2s2r_explains_one_object():
-    there = with_dimensionless(ROPE, {"bending_ratio": 0.5, "damping": 0.03})
-    found = identify(TASK, executed(there), world=Throws())
+    found = identify(TASK, seen, world=Throws())
     # E and damping move the reach alike: what they reach is found, not each of them
-    value = 0.6 * np.log(found.parameters["bending_ratio"] / 0.4) - 6.0 * (
-        found.parameters["damping"] - 0.02
-    )
+    E, damping = (found.parameters[n] for n in ("bending_ratio", "damping"))
+    value = 0.6 * np.log(E / 0.4) - 6.0 * (damping - 0.02)
     assert value == pytest.approx(0.6 * np.log(0.5 / 0.4) - 6.0 * 0.01, abs=1e-3)
     assert found.misfit < 1e-4 and found.executions == 20
-    again = identify(TASK, executed(there), world=Throws())
-    assert again == found
+    assert identify(TASK, seen, world=Throws()) == found
     # nothing to learn from is told
     with pytest.raises(ParameterError, match="no executions"):
         identify(TASK, [], world=Throws())
     with pytest.raises(SimulationError, match="no parameters could be simulated"):
-        identify(TASK, executed(there), world=Throws(fails=True), generations=1)
+        identify(TASK, seen, world=Throws(fails=True), generations=1)

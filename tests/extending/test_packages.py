@@ -3,6 +3,7 @@ is used on the command line."""
 
 import json
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -19,12 +20,41 @@ from gendom.policies.belief import believed
 from gendom.tasks import RopeReaching
 from gendom.viz.viewer import recording_model
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "rope_dragging.py"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 TWIN = """
 from gendom.tasks.task import Task
 class Twin(Task):
     name = "rope-casting"
 """
+
+
+def code(*place):
+    return EXAMPLES.joinpath(*place).read_text(encoding="utf-8")
+
+
+HEMP = code("recipes", "hemp.py")
+
+
+PACKAGES = {  # module: its code, what it adds, by which name
+    "dragging": (
+        (EXAMPLES / "rope_dragging.py").read_text(encoding="utf-8"),
+        "tasks",
+        "RopeDragging",
+    ),
+    "broken": ("import no_such_module", "tasks", "Task"),
+    "odd": ("Task = 3", "tasks", "Task"),
+    "twin": (TWIN, "tasks", "Twin"),
+    "hemp": (HEMP, "materials", "MATERIALS"),
+    "flax": (
+        HEMP.replace('"nu"', '"mu"').replace("hemp", "flax"),
+        "materials",
+        "MATERIALS",
+    ),
+    "wet": (code("recipes", "humidity.py"), "unknowns", "HUMIDITY"),
+    "grid": (code("recipes", "grid.py"), "methods", "grid"),
+    "npy_camera": (code("recipes", "npy_camera.py"), "cameras", "NpyCamera"),
+    "turntable": (code("recipes", "turntable.py"), "arms", "turntable"),
+}
 
 RUN = """
 import contextlib, io, json, sys
@@ -86,72 +116,12 @@ def test_a_package_adds_a_task(told, place):
     assert about["task"]["name"] == "rope-dragging"
 
 
-# ---- estimates -----------------------------------------------------------------------------------
-
-MATERIAL = """
-def of(*ends, basis="estimate", **more):
-    return {**dict(zip(("low", "typical", "high"), ends)), "basis": basis, "how": "by hand", **more}
-
-
-HEMP = {
-    "kind": "rope", "about": "laid hemp", "nu": of(0.2, 0.3, 0.4), "friction": of(0.2, 0.4, 0.6),
-    "E": of(5e5, 1.1e6, 3e6, basis="measured", source="own-2024"),
-    "density": of(600.0, 800.0, 1000.0), "damping": of(0.002, 0.005, 0.02),
-    "diameter": of(0.004, 0.008, 0.02),
-}
-SOURCE = {"text": "Our own bench, 2024", "says": "hemp of 8 mm: 1.1 MPa"}
-MATERIALS = {"sources": {"own-2024": SOURCE}, "materials": {"hemp-rope": HEMP}}
-"""
-
-UNKNOWN = """
-from dataclasses import replace
-
-from gendom.materials.unknowns import Unknown
-
-
-def wetted(inputs, value):
-    inputs.E_over_rho *= value
-
-
-HUMIDITY = Unknown(
-    name="humidity", symbol="h", unit="1", meaning="E over that of the dry rope",
-    log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
-    kinds=("rope",), on_replay=wetted,
-    on_object=lambda item, h: replace(item, material=replace(item.material, E=h * item.material.E)),
-)
-"""
-
-METHOD = '''
-"""`grid`: the best of 24 moduli, everything else as its prior says."""
-
-import numpy as np
-
-from gendom.estimation import Problem
-from gendom.estimation.problem import Found, Start
-
-
-def grid(problem: Problem) -> Found:
-    middle = problem.prior.vector(*problem.bases)
-    k = problem.prior.index("E_over_rho")
-    moduli = np.linspace(problem.prior.low[k], problem.prior.high[k], 26)[1:-1]
-    tried = np.repeat(middle[None], len(moduli), axis=0)
-    tried[:, k] = moduli
-    noise = problem.first_noise()
-    values = problem.values(list(tried), problem.compare(list(tried), derivatives=False), noise)
-    best = Start(initial=middle, vector=tried[int(np.argmin(values))], value=min(values), done=True)
-    best.comparison = problem.compare([best.vector])[0]
-    problem.tell("grid", 1, 1, best)
-    return Found(best=best, starts=[best], noise=noise)
-'''
-
-
 @pytest.fixture
 def humidity():
     """Known here, too, where the results are read."""
-    names = {}
-    exec(UNKNOWN, names)
-    register(names["HUMIDITY"])
-    yield names["HUMIDITY"]
+    unknown = runpy.run_path(str(EXAMPLES / "recipes" / "humidity.py"))["HUMIDITY"]
+    register(unknown)
+    yield unknown
     del UNKNOWNS["humidity"]
 
 
@@ -168,13 +138,13 @@ def test_packages_add_a_material_and_a_method(told, place, rope_lift):
 
 def test_a_package_adds_an_unknown(told, humidity, rope_lift, place):
     """It is found in the file, the report, the viewer and the policies' belief."""
-    made, tmp_path = told["estimate"], place
+    made = told["estimate"]
     assert made[0] == 0, made
-    record, found = json.loads(made[1]), Estimate.load(tmp_path / "estimate.json")
+    record, found = json.loads(made[1]), Estimate.load(place / "estimate.json")
     low, high = found.posterior.interval("humidity", 0.9)
     assert low < found.theta["humidity"] < high and record["intervals"]["humidity"] == [low, high]
     assert humidity.title in "\n".join(name for name, *_ in found.rows())
-    page = (tmp_path / "report.html").read_text(encoding="utf-8").lower()
+    page = (place / "report.html").read_text(encoding="utf-8").lower()
     assert f'class="name" data-label="quantity">{humidity.title}</td>' in page
     assert humidity.title in page.split("usable.", 1)[1].split("</p>", 1)[0]  # the verdict
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
@@ -188,53 +158,6 @@ def test_a_package_adds_an_unknown(told, humidity, rope_lift, place):
         register(humidity)
 
 
-# ---- perception ----------------------------------------------------------------------------------
-
-CAMERA = '''"""Cameras whose depth is one array: depth.npy [T, height, width] and times.npy [T]."""
-
-from functools import partial
-
-import numpy as np
-
-from gendom.perception import Frame, Pictures, read_camera
-
-
-class NpyCamera:
-    def __init__(self, folder, *, on_warning):
-        path = self.find(folder)
-        self.camera = read_camera(folder / "camera.toml")
-        self.times, self.depth = np.load(folder / "times.npy"), np.load(path, mmap_mode="r")
-
-    @staticmethod
-    def find(folder):
-        path = folder / "depth.npy"
-        return path if path.exists() else None
-
-    def __iter__(self):
-        for t, time in enumerate(self.times):
-            where = f"{self.camera.name}: picture {t}"
-            yield Frame(float(time), where, partial(self.pictures, t))
-
-    def pictures(self, t):
-        return Pictures(np.array(self.depth[t]))
-'''
-
-ROBOT = '''"""A post on a turntable: one joint, about the vertical."""
-
-import numpy as np
-
-from gendom.robot import Arm, LinkCapsule, ParallelGripper
-
-ONE = np.ones(1)
-post = LinkCapsule(name="post", link=1, start=(0.12, 0.0, 0.0), end=(0.12, 0.0, 0.4), radius=0.02)
-turntable = Arm(
-    name="turntable", T_links=np.eye(4)[None], T_flange_tcp=np.eye(4), home=0.0 * ONE,
-    q_min=-3.2 * ONE, q_max=3.2 * ONE, max_speed=ONE, max_acceleration=ONE, max_jerk=ONE,
-    max_tcp_speed=1.0, capsules=(post,),
-    gripper=ParallelGripper(max_opening=0.05, pivot_y=0.03, pivot_z=0.0, knuckle=0.05, face=0.02),
-)
-'''
-
 VIEW = """\
 width = 160
 height = 120
@@ -243,20 +166,6 @@ K = [[200.0, 0.0, 80.0], [0.0, 200.0, 60.0], [0.0, 0.0, 1.0]]
 # at (0, -0.6, 0.2), it looks along y
 T_world_camera = [[1, 0, 0, 0], [0, 0, 1, -0.6], [0, -1, 0, 0.2], [0, 0, 0, 1]]
 """
-
-
-PACKAGES = {  # module: its code, what it adds, by which name
-    "dragging": (EXAMPLE.read_text(encoding="utf-8"), "tasks", "RopeDragging"),
-    "broken": ("import no_such_module", "tasks", "Task"),
-    "odd": ("Task = 3", "tasks", "Task"),
-    "twin": (TWIN, "tasks", "Twin"),
-    "hemp": (MATERIAL, "materials", "MATERIALS"),
-    "flax": (MATERIAL.replace('"nu"', '"mu"').replace("hemp", "flax"), "materials", "MATERIALS"),
-    "wet": (UNKNOWN, "unknowns", "HUMIDITY"),
-    "grid": (METHOD, "methods", "grid"),
-    "npy_camera": (CAMERA, "cameras", "NpyCamera"),
-    "turntable": (ROBOT, "arms", "turntable"),
-}
 
 
 def write_lift(lift):

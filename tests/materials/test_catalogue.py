@@ -80,24 +80,6 @@ def test_what_is_wrong_with_a_catalogue_is_told(table, where, key, value, said):
         catalogue.parse(table)
 
 
-@pytest.mark.parametrize("name", ["polyester-rope", "polypropylene-rope", "nylon-rope"])
-def test_densities_of_ropes_are_those_of_the_cited_tables(name):
-    """From kg/m and mm, or lb/100 ft and inches, as the source's text has them."""
-    density = catalogue.get(name).density
-    said = catalogue.sources()[density.source].says
-    if name == "nylon-rope":
-        said = said.split("nylon ")[1].split(";")[0]
-        rows = re.findall(r"([\d.]+) at (\d+)/(\d+) inch", said)
-        pairs = [(0.453592 * float(m) / 30.48, 0.0254 * float(a) / float(b)) for m, a, b in rows]
-    else:
-        rows = re.findall(r"([\d.]+) kg/m at (\d+) mm", said)
-        pairs = [(float(m), 1e-3 * float(d)) for m, d in rows]
-    assert len(pairs) >= 3
-    found = [m / (math.pi / 4.0 * d**2) for m, d in pairs]
-    assert density.low <= min(found) and max(found) <= density.high
-    assert sum(found) / len(found) == pytest.approx(density.typical, rel=0.05)
-
-
 def test_the_command(capsys):
     assert cli.main(["materials"]) == 0
     out = capsys.readouterr().out

@@ -1,10 +1,13 @@
-"""What is read from a set of demonstrations."""
+"""What is read from a set of demonstrations; names of tasks in files of others are looked up by
+every reader and never executed."""
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from gendom import cli
 from gendom.datasets.demonstrations import generate
 from gendom.errors import DatasetError
 from gendom.files import write_json
@@ -15,6 +18,7 @@ from gendom.tasks import RopeReaching, Task
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
+from policies.test_policy import graph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,24 +58,55 @@ def test_read_gives_units_of_similarity_and_leaves_failures_out(folder):
     )
     assert data.risk is not None and set(np.round(data.risk, 9)) <= {0.01 * k for k in range(7)}
     # what is there of an unfinished set is taken
-    whole = Demonstrations.read(folder)
     (folder / "shard-00004.parquet").unlink()
     part = Demonstrations.read(folder)
-    assert len(part) == len(whole) - 8
-    np.testing.assert_array_equal(part.goal, whole.first(len(part)).goal)
+    assert len(part) == len(data) - 8
+    np.testing.assert_array_equal(part.goal, data.first(len(part)).goal)
 
 
-def test_a_set_without_a_column_is_refused(folder):
-    path = folder / "dataset.json"
-    about = read_json(path)
-    write_json(path, about | {"goal_names": ["x", "z"], "goal_units": ["m", "m"]})
-    with pytest.raises(DatasetError):
-        Demonstrations.read(folder)
-
-
-def test_too_few_or_broken_demonstrations_are_refused(folder):
+def test_too_few_broken_or_other_demonstrations_are_refused(folder):
     data = Demonstrations.read(folder)
     with pytest.raises(DatasetError, match="19 usable demonstrations"):
         data.first(19)
     with pytest.raises(DatasetError, match="goal holds numbers that are not finite"):
         replace(data, goal=np.full(data.goal.shape, np.nan))
+    path = folder / "dataset.json"
+    write_json(path, read_json(path) | {"goal_names": ["x", "z"], "goal_units": ["m", "m"]})
+    with pytest.raises(DatasetError):
+        Demonstrations.read(folder)
+
+
+@pytest.fixture
+def places(tmp_path, description):
+    """A sound data set, and one and a policy that name a Python file as their task, else whole."""
+    place = str(tmp_path / "task.py")
+    (tmp_path / "task.py").write_text(f"open({str(tmp_path / 'trace')!r}, 'w')\n")
+    generate(demonstrator(), 30, tmp_path / "good", seed=2)
+    named = type("Reaching", (RopeReaching,), {"name": place})
+    generate(demonstrator(named), 30, tmp_path / "data", seed=2)
+    about = json.loads(description.to_json())
+    about["task"]["name"] = place
+    names = ["goal_x", "bending_ratio", "nu"]
+    graph(tmp_path / "policy.onnx", names, {"gendom-policy": json.dumps(about)})
+
+
+OBJECT = ["--E", "1e6", "--density", "800", "--nu", "0.3", "--length", "0.3", "--diameter", "0.02"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "train rope-reaching --data data --out o.onnx",
+        "train rope-reaching --data good --finetune data --out o.onnx",
+        "evaluate rope-reaching --policy policy.onnx",
+        "act rope-reaching --goal 0.3 --policy policy.onnx OBJECT",
+    ],
+    ids=lambda words: words.split()[0],
+)
+def test_no_reader_executes_a_name(words, places, tmp_path, capsys, monkeypatch):
+    """`trace` would be there once task.py was executed."""
+    monkeypatch.chdir(tmp_path)
+    code = cli.main([*words.removesuffix("OBJECT").split(), *OBJECT * words.endswith("OBJECT")])
+    assert code == 2, capsys.readouterr().out
+    assert not (tmp_path / "trace").exists()
+    assert len(capsys.readouterr().err.splitlines()) <= 2

@@ -132,12 +132,3 @@ def test_a_cast_s_highest_point_is_before_the_hand_that_stands(hand, x, z, highe
     assert (found["x"], found["z"]) == highest
     found = RopeCasting(whole_motion=True).outcome(CASTING.item, seen)
     assert (found["x"], found["z"]) == whole
-
-
-def test_farther_casts_go_farther_and_stiffness_moves_them():
-    usual, stiff = (rope(m, length=0.3, diameter=0.016) for m in (1300.0, 4400.0))
-    outcomes = Simulation().carry_out(CASTING, [usual, usual, stiff], [[0.15], [0.25], [0.25]])
-    x, z = np.array([[o.values["x"], o.values["z"]] for o in outcomes]).T
-    assert x[1] > x[0] + 0.05
-    assert math.hypot(x[2] - x[1], z[2] - z[1]) > 0.02
-    assert all(o.values["sideways"] < 1e-9 for o in outcomes)

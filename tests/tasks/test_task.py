@@ -1,4 +1,5 @@
-"""What every task shares: limits, draws, settings, registry; and how our simulator does it."""
+"""What every task shares: limits, draws, settings, registry; how our simulator does it, and
+demonstrations that act for goals, as one would in a laboratory."""
 
 import json
 import math
@@ -7,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom import tasks
+from gendom import cli, tasks
 from gendom.errors import ParameterError
 from gendom.materials import (
     PARAMETERS,
@@ -19,7 +20,10 @@ from gendom.materials import (
     to_columns,
     with_dimensionless,
 )
-from gendom.tasks import RopeReaching, find_task, load_task, rebuild, task_names
+from gendom.policies import Policy
+from gendom.policies.demonstrations import Demonstrations
+from gendom.tasks import RopeCasting, RopeReaching, find_task, load_task, rebuild, task_names
+from gendom.tasks.demonstrator import ACTION_NOISE, Demonstrator
 from gendom.tasks.task import DRAWN
 from gendom.tasks.world import Simulation
 
@@ -49,11 +53,13 @@ def test_draws_follow_the_seed_and_the_ranges(kind):
     items = [task.draw_item(np.random.default_rng([3, i])) for i in range(400)]
     assert task.draw_item(np.random.default_rng([3, 7])) == items[7]
     own = dimensionless_parameters(task.item)
+    alike = [dimensionless_parameters(item) for item in items]
     as_thick = {"thickness_ratio": own["thickness_ratio"]}
-    columns = [to_columns(with_dimensionless(item, as_thick)) for item in items]
-    for row, item in zip(columns, items, strict=True):
-        row["thickness_ratio"] = dimensionless_parameters(item)["thickness_ratio"]
-        row["density"] = item.material.density
+    columns = [
+        {**to_columns(with_dimensionless(item, as_thick)), "density": item.material.density,
+         "thickness_ratio": its["thickness_ratio"]}
+        for item, its in zip(items, alike, strict=True)
+    ]  # fmt: skip
     for name, (low, high) in task.ranges.items():
         values = np.array([c[name] for c in columns])
         assert 0.999 * low <= values.min() < values.max() <= 1.001 * high
@@ -61,8 +67,7 @@ def test_draws_follow_the_seed_and_the_ranges(kind):
         assert 160 < np.sum(values < middle) < 240
     for name, value in own.items():
         if (PARAMETERS[name].column or name) not in task.ranges:
-            alike = [dimensionless_parameters(i)[name] for i in items]
-            np.testing.assert_allclose(alike, value, rtol=1e-12)
+            np.testing.assert_allclose([its[name] for its in alike], value, rtol=1e-12)
 
 
 @each
@@ -131,17 +136,11 @@ def test_ranges_and_objects_are_checked():
         RopeReaching(item=Cloth(side=0.2, thickness=0.001))
 
 
-def test_unknown_tasks_are_refused_with_those_that_there_are(monkeypatch):
+def test_unknown_tasks_are_refused_with_those_that_there_are():
     with pytest.raises(ParameterError, match="choose rope-reaching, rope-casting"):
         find_task("knitting")
-    # a name is given once
-    monkeypatch.setattr(tasks, "_registered", dict(tasks._registered))
-
-    class Other(RopeReaching):
-        pass
-
-    with pytest.raises(ParameterError, match="'rope-reaching' already"):
-        tasks.register(Other)
+    with pytest.raises(ParameterError, match="'rope-reaching' already"):  # a name is given once
+        tasks.register(type("Other", (RopeReaching,), {}))
 
 
 def test_a_file_is_code_only_where_a_person_names_it(tmp_path):
@@ -156,44 +155,38 @@ def test_a_file_is_code_only_where_a_person_names_it(tmp_path):
 
 
 def test_objects_of_several_sizes_are_carried_out_in_their_order():
+    """One that fails does not stop the others."""
     task, world = RopeReaching(bow=0.0), Simulation(air_density=0.0)
     items = [Rope(length=L, diameter=0.05 * L, material=Material(E=2e6 * L)) for L in (0.3, 0.5)]
-    items = [*items, items[0]]
-    actions = np.array([[0.4, 0.4], [0.6, 0.4], [0.8, 0.4]]) * [[size_of(i)] for i in items]
+    weak = replace(items[0], material=Material(E=500.0, density=1000.0))  # its weight stretches it
+    items, sizes = [*items, weak, items[0]], np.array([[0.3], [0.5], [0.3], [0.3]])
+    actions = np.array([[0.4, 0.4], [0.6, 0.4], [0.6, 0.4], [0.8, 0.4]]) * sizes
     outcomes = world.carry_out(task, items, actions)
-    reached = [o.values["x"] / size_of(i) for o, i in zip(outcomes, items, strict=True)]
-    for k, item in enumerate(items):
-        alone = world.carry_out(task, [item], actions[k : k + 1])[0]
-        assert alone.values["x"] / size_of(item) == pytest.approx(reached[k], rel=1e-9)
-    assert reached[0] > reached[2] + 0.05
-    # one that fails does not stop the others
-    task = RopeReaching()
-    weak = replace(task.item, material=Material(E=500.0, density=1000.0))  # its weight stretches it
-    actions = task.sample_actions(task.item, np.random.default_rng(0), 3)
-    outcomes = Simulation().carry_out(task, [task.item, weak, task.item], actions)
-    assert [o.fault is None for o in outcomes] == [True, False, True]
-    assert outcomes[1].values == {} and " s" in (outcomes[1].fault or "")
-    alone = Simulation().carry_out(task, [task.item], actions[2:])[0]
-    assert alone.values == outcomes[2].values
+    assert outcomes[2].values == {} and " s" in (outcomes[2].fault or "")
+    for k in (0, 1, 3):
+        alone = world.carry_out(task, [items[k]], actions[k : k + 1])[0]
+        assert outcomes[k].fault is None
+        assert alone.values["x"] == pytest.approx(outcomes[k].values["x"], rel=1e-9)
+    assert outcomes[0].values["x"] > outcomes[3].values["x"] + 0.05 * 0.3
     # numbers that do not agree are refused
     with pytest.raises(ParameterError, match="for 1 objects"):
-        Simulation().carry_out(task, [task.item], [[0.1, 0.1], [0.1, 0.1]])
+        world.carry_out(task, items[:1], actions[:2])
     with pytest.raises(ParameterError, match="out of limits"):
-        Simulation().carry_out(task, [task.item], [[0.0, 0.0]])
+        world.carry_out(task, items[:1], [[0.0, 0.0]])
 
 
 def test_kept_shapes_begin_with_the_move():
     task = RopeReaching()
     actions = task.sample_actions(task.item, np.random.default_rng(0), 1)
-    world = Simulation(everything=True)
-    seen = world.carry_out(task, [task.item], actions, keep=True)[0].seen
-    assert seen is not None
-    assert seen.times[0] == 0.0 and seen.points.shape[1] > 20
+    seen, plain = (
+        Simulation(everything=everything).carry_out(task, [task.item], actions, keep=True)[0].seen
+        for everything in (True, False)
+    )
+    assert seen is not None and plain is not None
+    assert seen.times[0] == 0.0 and seen.points.shape[1] > 20 > plain.points.shape[1] == 1
     np.testing.assert_allclose(seen.tip[0], seen.hand[0], atol=1e-9)
     held = seen.times < seen.opens
     np.testing.assert_allclose(seen.tip[held], seen.hand[held], atol=1e-6)
-    plain = Simulation().carry_out(task, [task.item], actions, keep=True)[0].seen
-    assert plain is not None and plain.points.shape[1] == 1
 
 
 def test_memory_that_does_not_suffice_means_smaller_batches(monkeypatch, caplog):
@@ -212,3 +205,43 @@ def test_memory_that_does_not_suffice_means_smaller_batches(monkeypatch, caplog)
     found = Simulation().carry_out(task, [task.item] * 5, actions)
     assert [o.values for o in found] == [o.values for o in expected]
     assert sizes == [5, 2, 3, 1, 2] and "smaller batches" in caplog.text
+
+
+CASTING = RopeCasting()
+LONG = replace(CASTING.item, length=0.5, diameter=0.028)
+
+
+def test_actions_are_those_for_goals_that_the_object_reaches_with_some_noise():
+    seen = []
+
+    def acts(cases):
+        seen.extend(zip(cases.items, cases.goal, strict=True))
+        return np.full((len(cases), 1), 0.6 * size_of(LONG))
+
+    source = Demonstrator(task=CASTING, items=(LONG,), acts=acts)
+    rngs = [np.random.default_rng([4, i]) for i in range(40)]
+    way = source.draw(rngs)["way"] / size_of(LONG)
+    assert 0.7 * ACTION_NOISE < way.std() < 1.4 * ACTION_NOISE
+    assert abs(way.mean() - 0.6) < 0.5 * ACTION_NOISE
+    assert {item for item, _ in seen} == {LONG}
+    assert np.ptp([goal[0] for _, goal in seen]) > 0.1  # each has its own goal
+    # a demonstration depends on its own seed alone, and says how it was drawn
+    assert source.draw([np.random.default_rng([4, 7])])["way"][0] == 0.5 * way[7]
+    assert source.about() != Demonstrator(task=CASTING, items=(LONG,)).about()
+
+
+def test_a_set_of_a_policys_own_actions_stays_near_what_it_would_do(tmp_path, refused):
+    policy = Policy.pretrained("rope-casting")
+    words = ["dataset", "rope-casting", "--size", "20", "--out", str(tmp_path / "set"), "--policy"]
+    for flags, says in (
+        ([policy.where, "--cluster", "local"], "cannot share"),
+        ([Policy.pretrained("rope-reaching").where], "is for rope-reaching"),
+    ):
+        assert says in refused(*words, *flags)
+    assert cli.main([*words, policy.where]) == 0
+    data = Demonstrations.read(tmp_path / "set")
+    asked = policy.actions(data.goal, data.parameters)
+    # what was reached, asked for again, asks for nearly the same: goals are those of the rope
+    assert np.abs(asked - data.action).max() < 0.02
+    usual = dimensionless_parameters(CASTING.item)["bending_ratio"]
+    assert np.ptp(data.parameters["bending_ratio"]) > 0.1 * usual
