@@ -136,15 +136,6 @@ def test_range(only):
     assert np.isnan(measured(step())).mean() == pytest.approx(0.03, rel=0.05)
 
 
-def test_same_seed_same_pictures():
-    depth, colour = step(), np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
-    a, b, c = (seen(depth, colour, seed) for seed in (1, 1, 2))
-    assert a.colour is not None and b.colour is not None
-    np.testing.assert_array_equal(a.depth, b.depth)
-    np.testing.assert_array_equal(a.colour, b.colour)
-    assert (a.depth != c.depth).mean() > 0.5
-
-
 def test_errors_of_a_rig_have_the_size_asked_for():
     rng = np.random.default_rng(0)
     T = np.eye(4)

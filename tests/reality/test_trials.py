@@ -170,15 +170,6 @@ def test_reaching_by_arm_and_by_free_hand(stretched):
         assert L < values["x"] < 2.0 * L
 
 
-def test_the_demo_s_rope_stays_in_its_plane_under_the_arm():
-    """One of its releases; a rope without resistance to twist falls by 57 mm."""
-    rope, release = OBJECTS["rope-cotton"], (0.1598, 0.1197)
-    worlds = [RealWorld(robot=robot, timestep=1e-3) for robot in (False, True)]
-    free, arm = (carried_out(world, REACHING, rope, release)[0] for world in worlds)
-    assert free["sideways"] < 1e-3 and arm["sideways"] < 0.005
-    assert arm["x"] == pytest.approx(free["x"], abs=1e-3)
-
-
 @pytest.fixture(scope="module")
 def casts():
     """Two casts by the free hand, the shorter first."""
