@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.datasets.folder import _misfit, check_named, in_order, read_gripper, read_object
+from gendom.datasets.folder import _misfit, check_named, in_order, read_gripper
 from gendom.errors import RecordingError
 from written import write_ply
 
@@ -36,12 +36,14 @@ def test_folder_equals_the_recording(lift, folder):
     # recordings among the clouds are left alone
     lift.write(folder / "recording.npz")
     assert Recording.read(folder).num_frames == 5
-    # keys below the table count too
+    # keys below the table that belong beside it count too, and are not those of the object
     object_ = '[object]\nkind = "rope"\nlength = 0.4\n'
-    (folder / "object.toml").write_text(f"{object_}table_height = -0.1\nquasi_static = true")
+    more = 'table_height = -0.1\nquasi_static = true\nnotes = "b"\nsource = "c"\ngrasp = "end"'
+    (folder / "object.toml").write_text(f'notes = "a"\n{object_}{more}')
     recording = Recording.read(folder)
     assert recording.table_height == -0.1 and recording.quasi_static
-    assert recording.object.extra == {}
+    assert (recording.notes, recording.source) == ("a", "c")
+    assert recording.object.extra == {"notes": "b"} and recording.object.grasp == "end"
     # missing table height is a warning
     (folder / "object.toml").write_text(object_)
     faults = []
@@ -59,9 +61,7 @@ def test_clouds_in_other_formats(lift, folder, suffix, write):
     for t in range(5):
         (folder / f"frame_{8 + t}.ply").unlink()
         write(folder / f"frame_{8 + t}{suffix}", lift.frame(t))
-    recording = Recording.read(folder)
-    np.testing.assert_array_equal(recording.points, lift.points)
-    np.testing.assert_array_equal(recording.offsets, lift.offsets)
+    np.testing.assert_array_equal(Recording.read(folder).points, lift.points)
     path = folder / f"frame_9{suffix}"
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(RecordingError, match=f"^{path}: is "):
@@ -78,15 +78,6 @@ def test_columns_of_grippers_in_any_order(tmp_path):
     }  # fmt: skip
     path.write_text("time,x,y,z\n0,1,2,3\n")
     assert read_gripper(path).keys() == {"time", "gripper_position"}
-
-
-def test_keys_that_belong_beside_the_table_of_the_object(tmp_path):
-    toml = tmp_path / "object.toml"
-    toml.write_text(
-        "notes = 'a'\n[object]\nkind = 'rope'\nnotes = 'b'\nsource = 'c'\ngrasp = 'd'\n"
-    )
-    told = {"kind": "rope", "notes": "b", "grasp": "d"}
-    assert read_object(toml) == {"notes": "a", "source": "c", "object": told}
 
 
 def rewrite(name, old, new):
