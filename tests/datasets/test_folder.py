@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.datasets.folder import _misfit, check_named, in_order, read_gripper
+from gendom.datasets.folder import check_named, in_order, read_gripper
 from gendom.errors import RecordingError
 from written import write_ply
 
@@ -191,21 +191,6 @@ def test_names_that_are_times_may_be_off_by_a_frame(off, right):
     assert in_order(counters[::-1], time, where="") == counters
     check_named([*names[:5], *counters[5:]], time, where="")
     assert in_order(["b2", "B10", "a3"], np.arange(3.0), where="") == ["a3", "b2", "B10"]
-
-
-def test_numbers_fit_times_in_their_best_unit_or_evenly():
-    time = np.array([5.0, 5.1, 5.3, 5.4])
-    for unit in (1.0, 1e3, 1e6, 1e9):
-        assert _misfit(unit * (time - 5.0), time) == pytest.approx((0.0, 0.0), abs=1e-9)
-    as_times, evenly = _misfit(np.arange(4.0), time)
-    # 0, 1/3, 2/3 and 1 of 0.4 s beside 0, 0.1, 0.3 and 0.4 s; in milliseconds nearly nothing
-    assert evenly == pytest.approx(0.4 / 3.0 - 0.1)
-    off = np.arange(4.0) * 1e-3 - (time - 5.0)
-    assert as_times == pytest.approx(np.abs(off - np.median(off)).max(), rel=0.01)
-    nothing = ((None, time), (np.zeros(1), time[:1]), (np.zeros(2), np.array([0, np.nan])))
-    for numbers, at in nothing:
-        assert _misfit(numbers, at) == (np.inf, np.inf)
-    assert _misfit(np.zeros(4), time)[1] == np.inf
 
 
 def test_names_in_two_orders_of_which_neither_fits():

@@ -127,9 +127,8 @@ def exact_views(camera, tilts, pixel_noise=0.0, seed=0):
     return views, hold
 
 
-@pytest.mark.parametrize("distortion", [(), (0.08, -0.15, 1e-3, -1e-3, 0.02)])
-def test_exact_corners_give_the_exact_pose(world, distortion):
-    camera = world.make_camera(distortion=distortion)
+def test_exact_corners_give_the_exact_pose(world):
+    camera = world.make_camera(distortion=(0.08, -0.15, 1e-3, -1e-3, 0.02))
     views, hold = exact_views(camera, good_tilts(6))
     found = calibrate(camera, views)
     position, angle = error_of(found.T_world_camera, camera)

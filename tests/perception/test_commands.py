@@ -246,31 +246,17 @@ def test_what_is_left_out_is_told(copy, command, spoil, kept, said):
     assert all(part in printed.out for part in said.split(" | ")), printed.out
 
 
-def bad_checksum(data):
+def test_damaged_pictures(copy):
+    """One frame cannot be read, others can: of pixels that their checksum belies, and of 8 bits."""
+    path = copy / "cameras" / "right" / "depth" / "000003.png"
+    data = bytearray(path.read_bytes())
     data[data.rindex(b"IEND") - 5] ^= 0xFF
-    return data
-
-
-@pytest.mark.parametrize("kind", ["depth", "colour"])
-def test_damaged_pictures(copy, kind):
-    """One frame cannot be read, others can. Grey is a colour."""
-    path = copy / "cameras" / "right" / kind / "000003.png"
-    good = path.read_bytes()
-    spoils = [
-        lambda: path.write_bytes(good[: len(good) // 2]),
-        lambda: path.write_bytes(bad_checksum(bytearray(good))),
-        lambda: Image.new("L", (10, 10)).save(path),
-        lambda: Image.new("L", (320, 240)).save(path),
-    ]
-    for spoil in spoils[: 4 if kind == "depth" else 3]:
+    for spoil in (lambda: path.write_bytes(data), lambda: Image.new("L", (320, 240)).save(path)):
         spoil()
         frames = list(PngCamera(copy / "cameras" / "right"))
         assert frames[2].read().depth.shape == (240, 320)
-        with pytest.raises(RecordingError, match=f"{kind}/000003.png: "):
+        with pytest.raises(RecordingError, match=r"depth/000003\.png: "):
             frames[3].read()
-    spoils[3]()
-    if kind == "colour":
-        assert not np.any(list(PngCamera(copy / "cameras" / "right"))[3].read().colour)
 
 
 def test_realsense_recordings_give_the_same_clouds(lift, sdk_lift, command, tmp_path):
