@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.datasets.folder import _misfit, check_named, in_order, read_gripper, read_object
+from gendom.datasets.folder import check_named, in_order, read_gripper
 from gendom.errors import RecordingError
 from written import write_ply
 
@@ -36,12 +36,14 @@ def test_folder_equals_the_recording(lift, folder):
     # recordings among the clouds are left alone
     lift.write(folder / "recording.npz")
     assert Recording.read(folder).num_frames == 5
-    # keys below the table count too
+    # keys below the table that belong beside it count too, and are not those of the object
     object_ = '[object]\nkind = "rope"\nlength = 0.4\n'
-    (folder / "object.toml").write_text(f"{object_}table_height = -0.1\nquasi_static = true")
+    more = 'table_height = -0.1\nquasi_static = true\nnotes = "b"\nsource = "c"\ngrasp = "end"'
+    (folder / "object.toml").write_text(f'notes = "a"\n{object_}{more}')
     recording = Recording.read(folder)
     assert recording.table_height == -0.1 and recording.quasi_static
-    assert recording.object.extra == {}
+    assert (recording.notes, recording.source) == ("a", "c")
+    assert recording.object.extra == {"notes": "b"} and recording.object.grasp == "end"
     # missing table height is a warning
     (folder / "object.toml").write_text(object_)
     faults = []
@@ -59,9 +61,7 @@ def test_clouds_in_other_formats(lift, folder, suffix, write):
     for t in range(5):
         (folder / f"frame_{8 + t}.ply").unlink()
         write(folder / f"frame_{8 + t}{suffix}", lift.frame(t))
-    recording = Recording.read(folder)
-    np.testing.assert_array_equal(recording.points, lift.points)
-    np.testing.assert_array_equal(recording.offsets, lift.offsets)
+    np.testing.assert_array_equal(Recording.read(folder).points, lift.points)
     path = folder / f"frame_9{suffix}"
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(RecordingError, match=f"^{path}: is "):
@@ -78,15 +78,6 @@ def test_columns_of_grippers_in_any_order(tmp_path):
     }  # fmt: skip
     path.write_text("time,x,y,z\n0,1,2,3\n")
     assert read_gripper(path).keys() == {"time", "gripper_position"}
-
-
-def test_keys_that_belong_beside_the_table_of_the_object(tmp_path):
-    toml = tmp_path / "object.toml"
-    toml.write_text(
-        "notes = 'a'\n[object]\nkind = 'rope'\nnotes = 'b'\nsource = 'c'\ngrasp = 'd'\n"
-    )
-    told = {"kind": "rope", "notes": "b", "grasp": "d"}
-    assert read_object(toml) == {"notes": "a", "source": "c", "object": told}
 
 
 def rewrite(name, old, new):
@@ -200,21 +191,6 @@ def test_names_that_are_times_may_be_off_by_a_frame(off, right):
     assert in_order(counters[::-1], time, where="") == counters
     check_named([*names[:5], *counters[5:]], time, where="")
     assert in_order(["b2", "B10", "a3"], np.arange(3.0), where="") == ["a3", "b2", "B10"]
-
-
-def test_numbers_fit_times_in_their_best_unit_or_evenly():
-    time = np.array([5.0, 5.1, 5.3, 5.4])
-    for unit in (1.0, 1e3, 1e6, 1e9):
-        assert _misfit(unit * (time - 5.0), time) == pytest.approx((0.0, 0.0), abs=1e-9)
-    as_times, evenly = _misfit(np.arange(4.0), time)
-    # 0, 1/3, 2/3 and 1 of 0.4 s beside 0, 0.1, 0.3 and 0.4 s; in milliseconds nearly nothing
-    assert evenly == pytest.approx(0.4 / 3.0 - 0.1)
-    off = np.arange(4.0) * 1e-3 - (time - 5.0)
-    assert as_times == pytest.approx(np.abs(off - np.median(off)).max(), rel=0.01)
-    nothing = ((None, time), (np.zeros(1), time[:1]), (np.zeros(2), np.array([0, np.nan])))
-    for numbers, at in nothing:
-        assert _misfit(numbers, at) == (np.inf, np.inf)
-    assert _misfit(np.zeros(4), time)[1] == np.inf
 
 
 def test_names_in_two_orders_of_which_neither_fits():

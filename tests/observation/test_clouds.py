@@ -5,7 +5,6 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.observation import breadth_across, chamfer, visible, visible_on_sheet
-from gendom.sim import rope
 
 
 def test_chamfer_matches_brute_force():
@@ -58,18 +57,7 @@ def test_a_camera_sees_half_a_sphere(towards):
     both = visible(p, camera_positions=np.concatenate([camera, -camera]))
     one, other = (visible(p, camera_positions=c) for c in (camera, -camera))
     assert np.array_equal(both, one | other) and both.mean() > 0.97
-
-
-def test_a_rope_from_above_shows_its_upper_side():
-    """The whole upper row of a lying rope is seen, the lower row is not but at its ends. One, two
-    or three points hide nothing."""
-    body = rope(diameter=0.02, length=0.3, start=(0.0, 0.0, 0.01), cells_across=2.0)
-    seen = visible(body.x)
-    z, along = body.x[:, 2], body.x[:, 0]
-    inside = (along > 0.01) & (along < 0.29)
-    assert seen[np.isclose(z, z.max())].all()
-    assert not seen[np.isclose(z, z.min()) & inside].any()
-    assert all(visible(np.eye(3)[:n]).all() for n in (1, 2, 3))
+    assert all(visible(np.eye(3)[:n]).all() for n in (1, 2, 3))  # few points hide nothing
 
 
 def folded(turn, n=41):

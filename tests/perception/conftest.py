@@ -1,4 +1,4 @@
-"""A small ray caster: sheets, spheres and ropes of known shape as depth and colour pictures."""
+"""A small ray caster: sheets and ropes of known shape as depth and colour pictures."""
 
 from __future__ import annotations
 
@@ -51,22 +51,6 @@ def make_camera(name="left", eye=(0.0, -0.65, 0.47), target=(0.0, 0.0, 0.1), **o
 
 
 @dataclass
-class Sphere:
-    centre: tuple
-    radius: float
-    colour: tuple = RED
-
-    def hit(self, origin, d):
-        o = np.subtract(origin, self.centre)
-        a, b, c = (d * d).sum(1), d @ o, o @ o - self.radius**2
-        root = b * b - a * c
-        return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
-
-    def distance(self, p):
-        return np.linalg.norm(p - np.array(self.centre), axis=1) - self.radius
-
-
-@dataclass
 class Rope:
     """A chain of capsules along points [M, 3]: with two a robot's link."""
 
@@ -97,13 +81,15 @@ def _capsule(o, axis, radius, d):
     du, ou = d @ axis / length2, o @ axis / length2
     dp, op = d - du[:, None] * axis, o - ou * axis
     a, b, c = (dp * dp).sum(1), dp @ op, op @ op - radius**2
-    root = b * b - a * c
+    root, da = b * b - a * c, (d * d).sum(1)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
         u = ou + np.where(np.isfinite(t), t, 0) * du
     t = np.where((u >= 0) & (u <= 1), t, np.inf)
     for end in (np.zeros(3), axis):
-        t = np.minimum(t, Sphere((0, 0, 0), radius).hit(o - end, d))
+        b = d @ (o - end)
+        root = b * b - da * ((o - end) @ (o - end) - radius**2)
+        t = np.minimum(t, np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / da, np.inf))
     return t
 
 

@@ -74,34 +74,6 @@ def test_a_cloth_lifted_by_its_corner(world, live):
         assert abs(error.mean()) < 1e-3 and np.sqrt(np.mean(error**2)) < 0.003
 
 
-def test_a_shift_along_a_rope_shows_when_it_is_lifted(world, live):
-    """At first it lies straight, and 3 cm along it show nowhere."""
-
-    def held(world, t):
-        line = np.array([[0.0, 0.0, 0.005], [0.4, 0.0, 0.005]])
-        return world.lifted_rope(tip=(0.0, 0.0, 0.25)) if t else world.Rope(line)
-
-    left, right = (camera.calibrated() for camera in world.pair())
-    shift = np.eye(4)
-    shift[0, 3] = 0.03
-    path = ((0.0, 0.0, 0.005), (0.0, 0.0, 0.005), (0.0, 0.0, 0.25), (0.0, 0.0, 0.25))
-    sources = live(
-        21, path=path, times=(0, 0.19, 0.2, 1.0), held=held, stated=[left, shift @ right]
-    )
-    for source in sources.sources:
-        source._read = lambda t, source=source: source._render(int(t >= 6))
-
-    def frames(count):
-        for source in sources.sources:
-            source._frames = count
-        return sources
-
-    lying = perceive(frames(6), SETTINGS)
-    assert lying.disagreement is not None and lying.disagreement < 0.01
-    with pytest.raises(RecordingError, match=r"cameras left, right place the object \d+ mm apart"):
-        perceive(frames(21), SETTINGS)
-
-
 @pytest.mark.parametrize(("degrees", "rise", "told"), [(0.3, 0.003, 0), (1.5, -0.007, 2)])
 def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
     """Their calibration is off in opposite ways; what lies on the table lies there again."""

@@ -17,39 +17,10 @@ HALF = 0.5**0.5
 TURNED = Layout(origin=(0.3, -0.2, 90.0), along=(HALF, HALF, 0.0), across=(-HALF, HALF, 0.0))
 
 
-def stiff(item):
-    """So stiff that it falls straight or flat."""
-    return replace(item, material=replace(item.material, E=1e3 * item.material.E))
-
-
 def falling(item, density=1.2):
     world = Reality(item, TURNED)
     world.air = Air(item, density)
     return world
-
-
-def fall_speed(world, seconds):
-    """Mean speed downwards in the 20 ms after it has fallen for some time [m/s]."""
-    world.step_to(seconds)
-    before = world.vertices()
-    world.step_to(seconds + 0.02)
-    return (before - world.vertices())[:, 2].mean() / 0.02
-
-
-@pytest.mark.parametrize(
-    ("item", "density", "drag", "area"),
-    [
-        (replace(CLOTH, vertices=13), 0.4, 1.2, CLOTH.side**2),
-        (ROPE, 4.8, 1.1, ROPE.diameter * ROPE.length),
-    ],
-    ids=["cloth", "rope"],
-)
-def test_what_lies_level_falls_at_its_terminal_speed(item, density, drag, area):
-    """sqrt(2 m g / (rho C A))."""
-    expected = np.sqrt(2.0 * item.mass * 9.81 / (density * drag * area))
-    world = falling(stiff(item), density)
-    assert fall_speed(world, 4.0 * expected / 9.81) == pytest.approx(expected, rel=0.03)
-    assert np.ptp(world.vertices()[:, 2]) < 0.02
 
 
 @pytest.mark.parametrize("vertices", [5, 16])
