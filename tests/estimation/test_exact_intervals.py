@@ -16,7 +16,7 @@ from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Start
 from gendom.materials.estimate import Estimate
 from gendom.materials.objects import ASSUMED
-from gendom.materials.posterior import Posterior, prior_of
+from gendom.materials.posterior import prior_of
 
 NS: Any = SimpleNamespace
 PRIOR = prior_of(("E_over_rho", "grip_height", "damping"))
@@ -49,9 +49,6 @@ def test_intervals_are_those_of_a_gaussian():
         low, high = known.interval("nu", 0.9)
         assert low == pytest.approx(0.44 - 0.016449, abs=1e-5) and high == 0.45
         assert known.determined("nu") and not known.determined("friction")
-        again = Posterior.from_dict(known.to_dict(), known.thetas)
-        assert again.names == known.names and again.theta == known.theta
-        assert np.array_equal(again.covariance, known.covariance)
         sizes = {"length": 0.4, "diameter": 0.01, "density": 800.0}
         found = Estimate(kind="rope", known=sizes, posterior=known)
         assert ("damping" in found.assumed) == assumed

@@ -1,6 +1,5 @@
 """Gauss-Newton steps on a simulated lift."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +12,6 @@ from gendom.estimation.methods.gauss_newton import (
     GaussNewtonSettings,
     _likeliest,
     gauss_newton,
-    refined,
 )
 from gendom.estimation.problem import Start
 from gendom.materials.posterior import prior_of
@@ -57,20 +55,6 @@ def test_it_keeps_what_it_did(rope_lift, problem, found):
     assert found.noise[0].sensor == pytest.approx(1e-3, rel=0.2)
     modulus = problem.theta(found.best.vector).E_over_rho
     assert modulus == pytest.approx(rope_lift.truth.E_over_rho, rel=0.05)
-
-
-def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, problem, found):
-    """From where a coarser one ended to the end that the finer one's own search finds."""
-    coarse = replace(rope_lift.settings, points=7)
-    settings = replace(problem.settings, scene=coarse)
-    rough = gauss_newton(Problem([LiftScene.of(rope_lift.seen(), coarse)], settings))
-    before = rough.best.vector.copy()
-    again = refined(problem, rough)
-    assert again.best.comparison is not None
-    assert again.best.comparison.parts[0].observation is problem.parts[0].observation
-    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])))
-    off = np.abs(again.best.vector - found.best.vector) / sd
-    assert off.max() < 0.2 < (np.abs(before - found.best.vector) / sd).max()
 
 
 def test_a_step_that_meets_a_bound_goes_along_it():

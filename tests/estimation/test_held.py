@@ -88,7 +88,7 @@ def thicker(rope_lift, ratio, **how):
 
 
 def test_exact_clouds_bring_the_diameter_back(rope_lift, settings):
-    """And with it E, which otherwise is a fifth too large."""
+    """And with it E."""
     exact = NoiseModel(sensor=1e-4, least_sensor=1e-5, shift=1e-5, turn=1e-5, skin=1e-6)
     lifted, modulus = thicker(rope_lift, RATIO, noise=0.0), rope_lift.truth.E_over_rho
     found = estimate(lifted, replace(settings, unknowns=(*RIGID, "thickness"), noise=exact))
@@ -100,10 +100,6 @@ def test_exact_clouds_bring_the_diameter_back(rope_lift, settings):
     assert holds(found, "thickness", record["thickness"])
     assert record["density"] == pytest.approx(1000.0, rel=0.05)
     assert record["E"] == pytest.approx(record["density"] * record["E_over_rho"])
-    without = estimate(lifted, replace(settings, unknowns=RIGID))
-    assert without.theta.E_over_rho > 1.12 * modulus
-    assert without.record["thickness"] == lifted.object.diameter
-    assert not without.record["identifiable"]["thickness"]
 
 
 @pytest.mark.parametrize("weighed", [True, False])

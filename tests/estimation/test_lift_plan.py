@@ -28,23 +28,6 @@ FIXED = ["rope", "--length", "0.25", "--diameter", "0.012"]
 
 
 @pytest.mark.slow
-def test_a_swing_is_expected_to_show_damping():
-    """As a swinging rope's decay does, with what the calibration of damping adds to both."""
-    done = []
-    settings = LiftPlanSettings(
-        ends=("swing",), rises=(1.0,), speeds=(0.1,), draws=2, seed=1, aim="damping"
-    )
-    plan = plan_lift(ROPES, settings, on_done=lambda *counts: done.append(counts))
-    hold, swing = plan.rows
-    assert done == [(k, 4) for k in range(1, 5)]
-    assert hold.motion == predefined_lift("rope") and swing.motion.end == "swing"
-    assert plan.chosen is swing and plan.gain(hold) == 1.0 and plan.gain(swing) > 1.4
-    assert hold.half_width("damping", 0.9) > 1.4 * swing.half_width("damping", 0.9)
-    for sd in (*hold.sd, *swing.sd):
-        assert all(0.0 < sd[name] <= 1.001 * plan.prior_sd[name] for name in SHOWN)
-
-
-@pytest.mark.slow
 def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
     """The estimate from the simulated clouds themselves has the deviations that were forecast, of a
     diameter that is known."""

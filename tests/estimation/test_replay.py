@@ -2,15 +2,13 @@
 
 import math
 from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 import pytest
 
-from gendom.datasets import Recording
-from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
+from gendom.estimation import LiftScene, replay
 from gendom.estimation.observed import Observation
-from gendom.estimation.replay import HEM, WorldInputs, held_reach, lattice, middle
+from gendom.estimation.replay import HEM, WorldInputs, held_reach
 from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
 
@@ -102,23 +100,6 @@ def test_a_hem_counts_by_its_area(scene, cloth_lift):
     assert hemmed.mass is not None and hemmed.mass @ mean == pytest.approx(1.0)
     middle = hemmed.mass.reshape(counts)[counts[0] // 2, counts[1] // 2]
     assert middle == pytest.approx(1.0 / (1.0 + area))
-
-
-@pytest.mark.slow
-def test_the_mpm_finds_what_rods_find():
-    """E of the demo's lift within a fifth; replays lie within 10 mm of each other."""
-    recording = Recording.read(str(files("gendom") / "assets" / "demo-rope-lift.npz"))
-    found, x = [], []
-    for engine in ("thin", "mpm"):
-        scene = SceneSettings(engine=engine)
-        found.append(estimate(recording, EstimateSettings(starts=1, scene=scene)))
-        scene = found[-1].scene
-        x.append(middle(scene, found[-1].fits[0].positions))
-        assert found[-1].usable
-        assert x[-1].shape == (len(scene.frames), len(lattice(scene)[0]), 3)
-    assert found[1].theta.E_over_rho == pytest.approx(found[0].theta.E_over_rho, rel=0.2)
-    for a, b in zip(*x, strict=True):
-        assert np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1).max() < 0.01
 
 
 def test_fingers_hide_what_they_hold(rope_lift):

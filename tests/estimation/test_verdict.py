@@ -25,9 +25,7 @@ def test_the_demo_s_lift_is_usable():
     ("spoiled", "reason"),
     [
         ("mass x 10", "is the mass in kilograms"),
-        ("size / 1.25", "beyond the end of an object"),
         ("uniform noise", "do not belong to the object"),
-        ("clouds x 1.43", "otherwise than any simulated one"),
         (lambda recording: recording.head(1), "1 of the 4 frames"),
     ],
 )
@@ -78,10 +76,8 @@ def test_a_rope_that_slips_through_the_fingers_is_refused(rope_lift, settings, s
         assert any("otherwise than any simulated one" in said for said in found.verdict.reasons)
 
 
-@pytest.mark.parametrize(("times", "usable"), [(1.0, True), (2.5, False)])
-def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings, times, usable):
-    """Half of whose points are moved along the cameras' views. One of another thickness is refused
-    by its breadth across them: points of such noise lie about any thickness."""
+def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings):
+    """Half of whose points are moved along the cameras' views."""
     diameter = 0.005
     thin = replace(
         rope_lift,
@@ -94,17 +90,10 @@ def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings, times, usable
     views = np.array([0.0, 0.8, -0.6]) * rng.choice([-1.0, 1.0], size=(len(seen.points), 1))
     views[:, 2] = -0.6
     mixed = np.where(rng.random(len(views)) < 0.5, rng.exponential(0.008, len(views)), 0.0)
-    described = (
-        seen.object if usable else replace(seen.object, diameter=times * diameter, mass=None)
-    )
-    seen = replace(seen, points=seen.points + mixed[:, None] * views, object=described)
-    found = estimate(seen, settings if usable else replace(settings, max_iterations=4))
-    assert found.usable is usable, found.verdict.reasons
-    if usable:
-        low, high = found.record["intervals"]["E_over_rho"]
-        assert low < thin.truth.E_over_rho < high < 2.0 * low
-    else:
-        assert any("cameras see" in said for said in found.verdict.reasons), found.verdict.reasons
+    found = estimate(replace(seen, points=seen.points + mixed[:, None] * views), settings)
+    assert found.usable, found.verdict.reasons
+    low, high = found.record["intervals"]["E_over_rho"]
+    assert low < thin.truth.E_over_rho < high < 2.0 * low
 
 
 def test_what_is_assumed_counts_in_intervals(lifted, settings):
@@ -128,7 +117,7 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
 @pytest.fixture(scope="module")
 def sheet(cloth_lift):
     """Each half of the points by a camera."""
-    lift = cloth_lift.seen(frames=8, points=1500)
+    lift = cloth_lift.seen(frames=8, points=600)
     return replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2))
 
 

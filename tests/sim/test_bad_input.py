@@ -193,6 +193,9 @@ UNFIT = [
         ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
         ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
     )],
+    (cloth, {"outline": SQUARE, "width": 0.3, "thickness": 0.002, "dx": 0.02},
+        r"width is 0.3 m, and the outline's is 0.2 m"),
+    (cloth, {"width": 0.3, "thickness": 0.002, "dx": 0.02}, "needs its width and height"),
     # what another body or engine has
     *[(flat_simulator, {"body": body, "engine": kind, "materials": [MATERIAL], **given}, words)
         for body, kind, given, words in (

@@ -20,7 +20,7 @@ def scene(sheet):
         corner = (0.0, -0.025, UP + 0.0021)
         body = cloth(width=0.08, height=0.05, thickness=0.004, dx=0.01, corner=corner)
     path = np.array([[0.0, 0.0, 0.008], [0.002, 0.002, 0.014], [0.004, 0.004, 0.02]])
-    turns = [(0, 0, 0, 1), (0.05, 0.1, 0.0, 1), (0.0, 0.1, 0.1, 1)]
+    turns = [(0, 0, 0, 1), (-0.05, -0.1, 0.0, -1), (0.0, 0.1, 0.1, 1)]  # of any length and sign
     first = Gripper(
         time=[0.0, 0.01, 0.02], position=path + np.array([0.0, 0.0, UP]), quat_xyzw=turns,
         radius=0.017, hold_from=0.0021, hold_until=0.0151,

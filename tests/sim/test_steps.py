@@ -134,16 +134,6 @@ def test_steps_begin_anew_with_velocities_that_are_set():
     assert fallen[0, 2] == pytest.approx(-0.5 * STANDARD_GRAVITY * 0.002**2, rel=1e-6)
 
 
-def test_hands_that_pull_a_rope_apart_are_found():
-    """In the step in which they do, by the time at which they would be too far apart."""
-    both, last = simulator(still(), still(ROPE.points[-1])), ROPE.points[-1]
-    both.step(0.01, Targets(position=[END, last]))
-    with pytest.raises(SimulationError, match="apart") as raised:
-        both.step(0.01, Targets(position=[END, last + np.array([0.2, 0.0, 0.0])]))
-    assert raised.value.time is not None and 0.01 < raised.value.time < 0.02
-    assert "grippers 0 and 1" in str(raised.value)
-
-
 @pytest.mark.parametrize(
     ("targets", "message"),
     [

@@ -147,9 +147,8 @@ SHEET = cloth(width=0.2, height=0.2, thickness=0.002, dx=0.02, points=(15, 15))
         (rope(diameter=0.01, length=0.2), (0.2, 0, 0), (0.4, 0, 0), 22 / 24 * 0.2, 3e-4),
         # mean stretch stays far below 20 %
         (SHEET, (0.2, 0.2, 0), (0.28, 0.28, 0), 0.53, 0.12),
-        (SHEET, (0.2, 0, 0), (0.26, 0, 0), 0.53, 0.12),
     ],
-    ids=["rope", "diagonal of a cloth", "side of a cloth"],
+    ids=["rope", "diagonal of a cloth"],
 )
 def test_grippers_that_pull_a_body_apart_are_found_at_the_moment(body, far, to, time, off):
     """Though they come back; worlds in which they stay, or let go in time, go on."""
@@ -189,17 +188,6 @@ def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
         found.append((rollout.forward(TIMES), rollout.backward(weights)))
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=0.0, atol=1e-12)
     assert_same_derivatives(vars(found[1][1]), vars(found[0][1]), rtol=1e-8, atol=1e-10)
-
-
-@BODIES
-def test_free_fall_is_exact(body):
-    """A leapfrog has no error in a parabola, whatever its steps and however a run is cut."""
-    s = flat_simulator(body, [Material()], air_density=0.0, gravity=(0.0, 0.0, -10.0))
-    s.set_velocities((0.5, 0.0, 1.0))
-    for t in (0.0501, 0.2):
-        x = s.run([t])[0, 0]
-        fall = np.array([0.5 * t, 0.0, t - 5.0 * t**2])
-        np.testing.assert_allclose(x - body.points, np.broadcast_to(fall, x.shape), atol=1e-12)
 
 
 @pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])

@@ -54,14 +54,6 @@ def test_mass_and_its_centre_are_those_of_the_outline(outline, points):
     np.testing.assert_allclose(area @ body.points[:, :2] / shape.area, shape.centre, atol=1e-13)
 
 
-def test_width_and_height_must_agree():
-    assert cloth(outline=SQUARE, width=0.2, height=0.2, **SHEET).shape == (28, 28)
-    with pytest.raises(ParameterError, match=r"width is 0.3 m, and the outline's is 0.2 m"):
-        cloth(outline=SQUARE, width=0.3, **SHEET)
-    with pytest.raises(ParameterError, match="needs its width and height"):
-        cloth(width=0.3, **SHEET)
-
-
 def test_the_skin_ends_at_the_outline():
     body = cloth(outline=RING, points=(15, 15), **SHEET)
     part, x = part_of(body), body.surface(body.points)
