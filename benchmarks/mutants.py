@@ -68,8 +68,7 @@ ROOMS = {
     "policies": ("policies", "policy adaptation graph",
                  "policies/test_policy policies/test_adapt policies/test_demonstrations"),
     "robot": ("robot", "kinematics path motion planning collision",
-              "robot/test_exact_robot robot/test_motion robot/test_collision "
-              "robot/test_kinematics"),
+              "robot/test_exact_robot robot/test_motion robot/test_collision"),
     "verdict": ("estimation", "verdict", "estimation/test_exact_verdict"),
     "likelihood": ("estimation", "likelihood", "estimation/test_exact_likelihood"),
 }  # fmt: skip

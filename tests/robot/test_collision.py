@@ -1,73 +1,29 @@
-"""Distances in closed form against sampling and MuJoCo, and motions that collide."""
+"""Poses and motions that collide, and postures that do not."""
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
     XARM7,
-    Box,
     CollisionChecker,
     Post,
     Surroundings,
     TcpPath,
-    arm_shape,
     follow,
     joint_move,
     lift,
     link_poses,
     tcp_pose,
 )
-from robot.test_kinematics import random_q
 
 TABLE = Surroundings(table_height=0.0)
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def box(name, position, size, turn=(0.0, 0.0, 0.0)):
-    quat = Rotation.from_rotvec(turn).as_quat()
-    return Box(name=name, position=np.array(position), size=np.array(size), quat_xyzw=quat)
-
-
 def post(name, start, end, radius):
     return Post(name=name, start=np.array(start), end=np.array(end), radius=radius)
-
-
-def test_capsules_are_as_far_apart_as_mujoco_says():
-    mujoco = pytest.importorskip("mujoco", reason="needs the extra reality")
-    from gendom.reality.arm import RobotArm
-
-    still = joint_move(XARM7, XARM7.home, XARM7.home)
-    robot = RobotArm(XARM7, still, opening=0.03)
-    board = box("board", (0.5, 0.2, 0.4), (0.3, 0.4, 0.01), (0.3, -0.5, 0.9))
-    quat = Rotation.from_matrix(board.turn).as_quat(scalar_first=True)
-    model = mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody>{robot.xml()}"
-        f'<geom type="box" pos="0.5 0.2 0.4" quat="{" ".join(map(str, quat))}" '
-        'size="0.15 0.2 0.005"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
-    )
-    # MuJoCo numbers geoms body by body: those of the world come first, then link by link.
-    data, arm_first = mujoco.MjData(model), 2
-    surroundings = Surroundings(table_height=0.0, obstacles=(board,))
-    q = random_q(15)
-    checker = CollisionChecker(XARM7, surroundings, opening=0.03)
-    names = arm_shape(XARM7, XARM7.home, 0.03).names
-    geom = {name: arm_first + k for k, name in enumerate(names)} | {"board": 0, "table": 1}
-    overlapping = 0
-    for angles, gap in zip(q, checker.distance(q), strict=True):
-        data.qpos[:] = angles
-        mujoco.mj_kinematics(model, data)
-        for (first, second), mine in zip(checker.pairs, gap, strict=True):
-            theirs = mujoco.mj_geomDistance(model, data, geom[first], geom[second], 10.0, None)
-            overlapping += mine < 0.0
-            if second == "board" and mine < 0.0:
-                assert theirs < 0.0  # its depth is another: the least way out
-            else:
-                tolerance = 1e-5 if second == "board" else 1e-9
-                assert mine == pytest.approx(theirs, abs=tolerance), (first, second)
-    assert overlapping > 20
 
 
 # ---- poses ---------------------------------------------------------------------------------------

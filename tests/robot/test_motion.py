@@ -1,7 +1,6 @@
 """Motions along paths and from joint to joint, timing and limits, joints.csv, the lift."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -23,8 +22,6 @@ from gendom.robot import (
 )
 from gendom.robot.planning import in_time
 
-ANY_TOOL = replace(XARM7, max_tcp_speed=100.0)
-
 
 def make_path(time, position, quat=DOWN, **other):
     time, position, quat = (np.asarray(a, dtype=float) for a in (time, position, quat))
@@ -43,36 +40,14 @@ def off_the_path(path, motion):
     return np.linalg.norm(tool[:, None] - nearest, axis=2).min(axis=1).max()
 
 
-def largest(motion):
-    """Largest speed, acceleration and tool speed over their limits, sampled densely."""
-    t = np.linspace(motion.start, motion.end, 5001)
-    tool = np.diff(motion.tcp_at(XARM7, t)[:, :3, 3], axis=0) / (t[1] - t[0])
-    return max(
-        np.abs(motion.speed_at(t) / XARM7.max_speed).max(),
-        np.abs(motion.acceleration_at(t) / XARM7.max_acceleration).max(),
-        np.linalg.norm(tool, axis=1).max() / XARM7.max_tcp_speed,
-    )
-
-
-@pytest.fixture(scope="module")
-def path():
-    """Back and up at 0.7 m/s within 0.3 s, then still."""
-    return make_path(
-        [0.0, 0.3, 0.5],
-        [[0.45, 0.0, 0.1], [0.3, 0.0, 0.25], [0.3, 0.0, 0.25]],
-        events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.5, closed=False)),
-    )
-
-
-@pytest.fixture(scope="module")
-def motion(path):
-    return follow(XARM7, path)
-
-
 # ---- along a path --------------------------------------------------------------------------------
 
 
-def test_tool_follows_the_path_within_limits(path, motion):
+def test_tool_follows_the_path_within_limits():
+    """Back and up at 0.7 m/s within 0.3 s, then still."""
+    way = [[0.45, 0.0, 0.1], [0.3, 0.0, 0.25], [0.3, 0.0, 0.25]]
+    path = make_path([0.0, 0.3, 0.5], way)
+    motion = follow(XARM7, path)
     t = motion.sampled(1000.0)
     miss = pose_error(path.pose_at(t, motion.blend), motion.tcp_at(XARM7, t))
     assert np.abs(miss).max() < 5e-6
@@ -109,30 +84,12 @@ CORNERS = [[0.4, -0.1, 0.2], [0.6, -0.1, 0.2], [0.6, 0.1, 0.2], [0.4, 0.1, 0.2]]
 def test_what_is_asked_too_fast_is_done_slower_on_the_same_path(asked, longest):
     """A lift by 0.225 m keeps its pauses; at 1 m/s the rest would take 0.225 s without mass."""
     motion = follow(XARM7, asked)
-    assert largest(motion) <= 1.0 + 1e-6
     motion.check_limits(XARM7)
     assert motion.slowed_by > 1.0 and off_the_path(asked, motion) < 1e-4
     assert motion.slowdown(XARM7) == pytest.approx(1.0, abs=2e-3)
     assert motion.end - motion.start < longest
     with pytest.raises(RobotError, match=r"t = .* s: .*, limit .*take \d\.\d+ times as long"):
         motion.stretched(0.99).check_limits(XARM7)
-
-
-@pytest.mark.parametrize(
-    ("time", "way", "blend", "edges", "steps"),
-    [  # 3 mm, pauses of 0.2 s; at most 100 a second; at most 5 mm; 16 a blend
-        ([5.0, 7.0, 8.0], 0.1, 0.2, [4.9, 5.1, 6.9, 7.1, 8.1], [20, 30, 20, 5]),
-        ([-1.0, 0.25], 0.5, 0.3, [-1.15, -0.85, 0.1, 0.4], [30, 95, 30]),
-        ([5.0, 5.8], 0.5, 0.5, [4.75, 5.25, 5.55, 6.05], [50, 38, 50]),
-        ([0.0, 2.0], 0.1, 0.08, [-0.04, 0.04, 1.96, 2.04], [16, 32, 16]),
-    ],
-)
-def test_a_path_is_solved_at_times_spaced_by_the_tool_s_movement(time, way, blend, edges, steps):
-    """In a blend 16 and 100 a second at least, elsewhere 3 mm or 0.2 s apart."""
-    position = [[0.4, -0.5 * way, 0.1], *[[0.4, 0.5 * way, 0.1]] * (len(time) - 1)]
-    motion = follow(XARM7, make_path(time, position, blend=blend))
-    parts = [np.linspace(*ab, n + 1)[1:] for ab, n in zip(pairwise(edges), steps, strict=True)]
-    np.testing.assert_allclose(motion.time, np.concatenate([edges[:1], *parts]), atol=1e-9)
 
 
 def test_when_a_path_begins_changes_nothing():
@@ -188,15 +145,12 @@ def one_joint(way, seconds, pause=0.0):
 def test_pauses_and_events_stay_where_they_are_on_the_path():
     events = tuple(GripperEvent(time=t, closed=t < 0.5) for t in (-1.0, 0.01, 0.5, 2.0))
     motion = replace(one_joint(0.5, 0.02, 1.0), events=events)
-    done, moved = in_time(XARM7, motion), in_time(XARM7, one_joint(0.5, 0.02))
-    assert done.end - moved.end == pytest.approx(1.0, abs=0.01)
-    np.testing.assert_allclose(done.speed_at(moved.end + 0.02), 0.0, atol=1e-6)
+    done = in_time(XARM7, motion)
+    assert done.end == pytest.approx(in_time(XARM7, one_joint(0.5, 0.02)).end + 1.0, abs=0.01)
     before, during, after, late = (e.time for e in done.events)
     assert before == pytest.approx(-1.0)
     np.testing.assert_allclose(done.at([during, after]), motion.at([0.01, 0.5]), atol=2e-3)
-    assert done.start < during < after < done.end
     assert late - done.end == pytest.approx(2.0 - motion.end)
-    assert [e.closed for e in done.events] == [e.closed for e in motion.events]
 
 
 # ---- joint moves and limits ----------------------------------------------------------------------
@@ -223,17 +177,12 @@ def test_joint_moves_are_quintics_as_fast_as_one_limit_allows(share):
     assert joint_move(free, to, to).end == 0.01
     with pytest.raises(RobotError, match=r"joint 4 at .* 4 rad"):
         joint_move(XARM7, XARM7.home, np.array([0, 0, 0, 4.0, 0, 0, 0]))
+    beyond = np.stack([XARM7.home, XARM7.home - 2.0 * np.eye(7)[3]])
+    with pytest.raises(RobotError, match=r"joint 4 .*-0\.192.*slowing down does not help"):
+        JointMotion(time=np.array([0, 5]), q=beyond).check_limits(XARM7)
     for wrong in (0.0, 1.01, np.nan):
         with pytest.raises(RobotError, match=f"share is {wrong}; give 0 < share <= 1"):
             joint_move(XARM7, XARM7.home, to, share=wrong)
-
-
-@pytest.mark.parametrize(("angle", "says"), [(4.2, r"4\.2 rad, limit 3\.927"), (-0.5, "-0.192")])
-def test_angles_beyond_their_range_are_told(angle, says):
-    q = np.array([XARM7.home, XARM7.home])
-    q[1, 3] = angle
-    with pytest.raises(RobotError, match=rf"joint 4 .*{says}.*slowing down does not help"):
-        JointMotion(time=np.array([0, 5]), q=q).check_limits(XARM7)
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -340,10 +289,8 @@ def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     ("wrong", "says"),
     [
         ({"start": [0.4, 0]}, "start is"),
-        ({"start": [0.4, 0, np.nan]}, "start is"),
         ({"height": -0.1}, "height is -0.1"),
         ({"speed": 0.0}, "speed is 0.0"),
-        ({"speed": np.inf}, "speed is inf"),
         ({"wait": 0.0}, "wait is 0.0"),
         ({"after": -1.0}, "after is -1.0"),
         ({"end": "throw"}, "end is 'throw'; choose hold, swing, drop"),
