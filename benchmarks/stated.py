@@ -298,14 +298,14 @@ ON_CUDA = partial(TIMED, needs=("cuda",))
 WIRE = "benchmarks/recordings/wire_white_loop.npz"
 
 FIGURES = (
-    covered("rope", "--lifts 90 --seed 200 --measured"),
-    covered("wide", "--wide --lifts 100 --measured"),
+    covered("rope", "--lifts 45 --seed 200 --measured"),
+    covered("wide", "--wide --lifts 45 --measured"),
     covered("cloth", "--kind cloth --lifts 50 --measured"),
     Figure(
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),
     ),
-    experiment("sbc", "sbc --lifts 200 --seed 100", sbc),
+    experiment("sbc", "sbc --lifts 100 --seed 100", sbc),
     experiment("npe", "npe --scale full --lifts 60 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),
