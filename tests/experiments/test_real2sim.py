@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,16 +17,10 @@ from gendom.reality import find_object
 COTTON, SHEET = "rope-cotton", "cloth-rubber"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Found:
+def found(record, reasons=()):
     """What an estimate gives."""
-
-    record: dict
-    verdict: Verdict = field(default_factory=lambda: Verdict(usable=True, reasons=()))
-
-    @property
-    def usable(self):
-        return self.verdict.usable
+    verdict = Verdict(usable=not reasons, reasons=reasons)
+    return SimpleNamespace(record=record, verdict=verdict, usable=verdict.usable)
 
 
 @pytest.fixture
@@ -42,9 +36,7 @@ def estimated(monkeypatch):
             raise ParameterError("cannot do that", where="method adam")
         truth = module.truth_of(item)["E_over_rho"] * item.material.density
         record = {key: 0.005 for key in module.KEPT} | {"E": 1.1 * truth}
-        if item.kind == "cloth":
-            return Found(record=record, verdict=Verdict(usable=False, reasons=("is crumpled",)))
-        return Found(record=record)
+        return found(record, ("is crumpled",) if item.kind == "cloth" else ())
 
     monkeypatch.setattr(Runs, "recorded", lambda runs, label, item, motion: item)
     monkeypatch.setattr(module, "estimate", estimate)
