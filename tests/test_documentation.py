@@ -1,5 +1,5 @@
-"""What README and docs say can be done: commands, links and pages; and their numbers, which are made
-from what was measured.
+"""What README and docs say can be done: commands, links and pages; and their numbers, made from
+what was measured.
 
 Shell blocks (fenced without a language, or as `sh`) hold commands only. Every command parses.
 Blocks are run from top to bottom of a page, but for those under a comment
@@ -248,13 +248,6 @@ def test_the_tutorial_shows_what_comes_out(block, after_tutorial, monkeypatch, c
         run_command("gendom demo", after_tutorial, monkeypatch)
         printed.write_text(capsys.readouterr().out)
     assert list(differences(block.shown, printed.read_text())) == []
-
-
-def test_other_numbers_and_words_are_found():
-    came = "mean  1.02 mm, at 3 places\nE 7.65e+05 Pa"
-    assert list(differences("...\nmean 1.2 mm, at 3 places\nE 7.7e+05 Pa", came)) == []
-    for shown in ("mean 2.2 mm, at 3 places", "E 5e+05 Pa", "mean 1.02 mm"):
-        assert len(list(differences(shown, came))) == 1
 
 
 RUN = [b for b in ALL if b.skipped is None and b.page != TUTORIAL]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,9 +19,15 @@ class FakeSession:
     def __init__(self):
         self.fed: dict[str, np.ndarray] = {}
         self.offset = 0.0
+        self.answer: Any = None
+        """In place of the release; an exception is raised."""
 
     def run(self, names, feed):
         self.fed = {name: value.copy() for name, value in feed.items()}
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        if self.answer is not None:
+            return [np.array(self.answer, np.float32)]
         goal = feed["goal_x"]
         stiffness = np.log(feed.get("bending_ratio", np.full_like(goal, 0.4)) / 0.4)
         x = 0.6 - 0.3 * (goal - 1.4) + 0.02 * stiffness + self.offset

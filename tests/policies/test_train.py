@@ -111,9 +111,9 @@ def test_file_is_small_and_says_what_it_is(distal):
     assert about == distal.description
     assert about.task == {"name": "rope-reaching", **RopeReaching().settings()}
     assert about.conditioned_on == ("bending_ratio", "nu")
-    trained = about.training
-    assert (trained["demonstrations"], trained["held_out"], trained["seed"]) == (1200, 120, 0)
     assert about.parameters["nu"] == pytest.approx((0.2, 0.4), abs=0.001)
+    counted = {"demonstrations": 1200, "held_out": 120, "seed": 0}
+    assert counted.items() <= about.training.items()
 
 
 def test_equal_seeds_give_equal_policies(tmp_path):
