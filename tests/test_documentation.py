@@ -398,28 +398,24 @@ def checked(figures, monkeypatch, tmp_path, capsys):
         figure = figures.Figure("n", f"python {script} {exit}", read, json=False, **options)
         monkeypatch.setattr(figures, "FIGURES", (figure,))
         code = figures.main(["--out", str(tmp_path / "out"), *flags])
-        return code, capsys.readouterr().out
+        return code, capsys.readouterr().out, json.loads(figures.STORED.read_text())
 
     return check
 
 
-def test_what_was_run_is_kept(figures, checked, tmp_path):
+def test_what_was_run_is_kept(checked, tmp_path):
     """Until the command or the version changes, and --again is given; what fails is run again."""
-    code, told = checked("--write", exit=3)
-    assert code == 1 and "FAILED: see n.log" in told
-    assert json.loads(figures.STORED.read_text()) == {}
+    code, told, stored = checked("--write", exit=3)
+    assert (code, stored) == (1, {}) and "FAILED: see n.log" in told
     path = tmp_path / "out" / "n.json"
     (tmp_path / "out" / "n" / "runs").unlink()
     path.unlink()
-    assert checked("--write")[0] == 0
-    stored = json.loads(figures.STORED.read_text())["n"]
-    assert stored["numbers"] == {"runs": 1.0} and stored["version"] == version()
-    assert checked("--again")[0] == 0  # nothing has changed
-    assert json.loads(path.read_text())["output"] == "1\n"
+    code, _, stored = checked("--write")
+    assert code == 0 and stored["n"]["numbers"] == {"runs": 1.0}
+    assert stored["n"]["version"] == version() and checked("--again")[0] == 0  # nothing has changed
     path.write_text(json.dumps({**json.loads(path.read_text()), "version": "0.0.9"}))
-    code, told = checked()
-    assert code == 1 and "OUTDATED: of 0.0.9" in told
-    code, told = checked("--again")  # it was run again, and finds 2 for 1
+    assert "OUTDATED: of 0.0.9" in checked()[1]
+    code, told, _ = checked("--again")  # it was run again, and finds 2 for 1
     assert code == 1 and "| n | runs | 1 | 2 | 5 % | OFF |" in told
     assert "OFF" in (tmp_path / "out" / "found.md").read_text()
     assert "not run: needs hours" in checked(needs=("hours",))[1]

@@ -210,18 +210,17 @@ ASKED: list[float] = []
 
 
 class Bends(Throws):
-    """Reaches that bend back beyond some E, so that whole steps gain nothing."""
+    """Reaches that bend back beyond some E: whole steps gain nothing, and larger ones fail."""
 
     def carry_out(self, task, items, actions, **_):
-        found = []
+        outcomes = []
         for item in items:
             x = math.log(item.material.E / ROPE.material.E)
             ASKED.append(round(x, 9))
-            bad = x > self.risky_above
-            found.append(Outcome(values={}, fault="burst") if bad else Outcome(
-                values={"x": item.length * (1.0 + self.off * math.tanh(60.0 * x)), "sideways": 0.0}
-            ))  # fmt: skip
-        return found
+            values = {"x": item.length * (1.0 + self.off * math.tanh(60.0 * x)), "sideways": 0.0}
+            fault = "burst" if x > self.risky_above else None
+            outcomes.append(Outcome(values={} if fault else values, fault=fault))
+        return outcomes
 
 
 @pytest.mark.parametrize("most", [9.0, 0.02])
