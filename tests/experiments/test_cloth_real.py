@@ -156,19 +156,10 @@ def estimated(monkeypatch):
     return calls
 
 
-@pytest.fixture
-def make(table, tmp_path):
-    """Function (words): what the command says of two objects, and its table's objects."""
-
-    def made(*words):
-        told = table("real2sim", "--objects", ROPE, SHEET, *words)
-        return told, json.loads((tmp_path / "real2sim.json").read_text())["objects"]
-
-    return made
-
-
-def test_every_method_has_a_row_or_a_reason(estimated, make, table):
-    told, objects = make()
+def test_every_method_has_a_row_or_a_reason(estimated, table, tmp_path):
+    words = ("real2sim", "--objects", ROPE, SHEET)
+    told = table(*words)
+    objects = json.loads((tmp_path / "real2sim.json").read_text())["objects"]
     rows = objects[ROPE]
     assert list(rows) == ["gauss-newton", "gauss-newton, last frame", "adam",
                           "differential-evolution", "pointnet"]  # fmt: skip
@@ -187,18 +178,11 @@ def test_every_method_has_a_row_or_a_reason(estimated, make, table):
     assert rope.rows["adam"][4] == "17.0" and rope.rows["pointnet"][4] == "46.0"
     assert rope.rows["gauss-newton"][2:5] == ("+0.095", "5.0", "")
     assert "is crumpled" in str(sheet)
+    # rows are kept, and skipped ones are tried again
+    estimated.clear()
+    assert table(*words) == told
+    assert [method for _, method, _ in estimated] == ["adam", "pointnet"]
     # an unknown object is refused before the work
     estimated.clear()
     error = table("real2sim", "--objects", ROPE, "rope-hemp", code=2)
     assert "there is no object 'rope-hemp'" in error and estimated == []
-
-
-def test_rows_are_kept_and_skipped_ones_are_tried_again(estimated, make):
-    first = make()
-    estimated.clear()
-    assert make() == first
-    assert [method for _, method, _ in estimated] == ["adam", "pointnet"]
-    # other settings are other rows
-    estimated.clear()
-    make("--method", "gauss-newton", "--seed", 1)
-    assert len(estimated) == 3

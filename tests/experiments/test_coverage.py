@@ -16,7 +16,7 @@ from experiments.__main__ import FIRST_REPORTED
 from experiments.calibration import FAULTS
 from experiments.coverage import check_unseen, covered, estimated_of, rank_band, shown_of
 from experiments.lifts import Lifts
-from experiments.sbc import imagined_lift, uniformity
+from experiments.sbc import uniformity
 from experiments.verdict import CORRUPTED, GOOD, confusion
 from gendom.datasets import Recording
 from gendom.errors import GendomError
@@ -147,18 +147,6 @@ def test_tests_of_ranks_tell_wrong_posteriors(sd, bias, right):
     tests = uniformity(SimpleNamespace(ranks=ranks, counts=counts))  # type: ignore
     assert (min(tests["chi_square_p"], tests["ecdf_p"]) > 0.01) == right
     assert (tests["ecdf_distance"] < tests["ecdf_band"]) == right
-
-
-def test_imagined_lifts_repeat_and_are_not_alike():
-    """Clouds of the rope, within the cameras' errors, in the frames that are compared."""
-    (a, truth), (b, again), (_, other) = (imagined_lift(Lifts(), seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(a.points, b.points)
-    assert truth == again and truth["E_over_rho"] != other["E_over_rho"]
-    first = a.frame(int(np.argmax(a.frame_valid)))
-    length, d = a.object.length, a.object.diameter
-    assert length is not None and d is not None
-    assert np.ptp(first[:, 0]) == pytest.approx(length, abs=0.02)
-    assert np.ptp(first[:, 2]) < 1.5 * d + 0.02
 
 
 @pytest.mark.slow

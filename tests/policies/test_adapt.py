@@ -16,7 +16,7 @@ from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import believed, uncertain, weighed
 from gendom.tasks import ClothSpreading
 from gendom.tasks.task import Outcome
-from policies.ballistic import ROPE, TASK, Throws, reach_of
+from policies.conftest import ROPE, TASK, Throws, reach_of
 
 
 def gaussian(names, mean, covariance) -> dict:

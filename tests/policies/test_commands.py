@@ -27,7 +27,7 @@ from gendom.robot import XARM7, read_joints
 from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.world import Simulation
-from policies.ballistic import Throws
+from policies.conftest import Throws
 from simulated_cell import write_cell
 
 

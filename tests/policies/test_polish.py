@@ -18,8 +18,7 @@ from gendom.tasks import ClothSpreading, RopeCasting
 from gendom.tasks.cases import draw_cases
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
-from policies.ballistic import ROPE, TASK, Throws, reach_of
-from policies.conftest import describe
+from policies.conftest import ROPE, TASK, Throws, describe, reach_of
 
 KNOWN = Estimate.of(ROPE)
 START = ROPE.length * np.array([0.45, 0.45])

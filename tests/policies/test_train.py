@@ -11,9 +11,8 @@ from gendom.materials import PARAMETERS, dimensionless_parameters, size_of, with
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeReaching
-from policies.ballistic import TASK as THROWING
-from policies.ballistic import Throws, reach_of
-from policies.conftest import demonstrations
+from policies.conftest import TASK as THROWING
+from policies.conftest import Throws, demonstrations, reach_of
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
