@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import gendom
 from gendom import __version__, installation, progress
 from gendom.arguments import (
     check_choice,
@@ -280,10 +279,6 @@ def test_every_public_name_is_there_and_no_other(package):
     assert all(getattr(module, name) is getattr(module, name) for name in module.__all__)
     with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
         _ = module.nothing
-
-
-def test_names_of_the_top_level_are_those_of_rooms():
-    assert set(gendom._EXPORTS) | {"__version__"} == set(gendom.__all__) <= set(dir(gendom))
 
 
 # ---- installation --------------------------------------------------------------------------------

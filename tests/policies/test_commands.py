@@ -222,8 +222,6 @@ def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
     [
         ((), "--action: is missing; give both"),
         (("--action", "0.15", "0.1"), "--reached: is missing"),
-        (("--action", "0.15", "--reached", "0.36"), "1 numbers of an action"),
-        (("--action", "0.15", "0.1", "--reached", "nan"), "finite"),
         ((*EXECUTION, "--out", "adapted.txt"), "does not end in .json"),
     ],
 )

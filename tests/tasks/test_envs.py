@@ -35,14 +35,6 @@ def episode(envs, action):
     return np.array(seen), reward, info
 
 
-def test_the_space_has_markers_tool_goal_and_parameters(envs):
-    seen, info = envs.reset(seed=0)
-    assert seen.shape == (W, 6 * MARKERS + 5 + 1 + 5)
-    assert np.array_equal(seen[:, -5:], info["parameters"].astype(np.float32))
-    assert len(np.unique(seen[:, -5])) > 1  # ropes of their own, drawn from the bank
-    assert envs.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.NEXT_STEP
-
-
 def test_a_cloud_stands_in_place_of_markers(envs, monkeypatch):
     """Its points lie on the skin of what the markers show; drawn by the seed."""
     monkeypatch.setattr("gendom.tasks.envs.BANK", 8)
@@ -65,6 +57,10 @@ def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
         return [-0.25, 0.0, 1.0] if k < 20 else [0.0, 0.0, -1.0]
 
     seen, reward, info = episode(envs, pull)
+    assert seen.shape == (STEPS + 1, W, 6 * MARKERS + 5 + 1 + 5)
+    parameters = envs.reset(seed=1)[1]["parameters"]
+    assert np.array_equal(seen[0, :, -5:], parameters.astype(np.float32))
+    assert len(np.unique(parameters[:, 0])) > 1  # ropes of their own, drawn from the bank
     rest, *_ = episode(envs, lambda k: [0.0, 0.0, 1.0])
     assert np.all((reward > -2.0) & (reward <= 0.0))
     L, goal = size_of(StepsVectorEnv("rope-reaching").task.item), seen[0][:, -6]
