@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,29 +31,23 @@ def missed(action, goal, item: Item = ROPE, **world) -> float:
 
 
 def test_a_known_object_is_reached_within_risk_discrepancy_and_doubt():
-    found = polish(TASK, 0.42, KNOWN, START, world=Throws())
+    reach = partial(polish, TASK, belief=KNOWN, start=START, world=Throws())
+    found = reach(0.42)
     assert found.before == pytest.approx(missed(START, 0.42), rel=1e-9)
     assert missed(found.action, 0.42) < 1e-4 * ROPE.length
     assert found.expected < 1e-4 * ROPE.length < found.before
     assert TASK.allows(ROPE, found.action)
     # risk is avoided
-    start = ROPE.length * np.array([0.3, 0.8])
-    found = polish(TASK, 0.4, KNOWN, start, world=Throws(risky_above=0.5))
+    found = reach(0.4, start=ROPE.length * np.array([0.3, 0.8]), world=Throws(risky_above=0.5))
     assert found.action[1] < 0.5 * ROPE.length
     assert missed(found.action, 0.4) < 1e-3
     # discrepancy is made up for
-    known = {"world": Throws(), "discrepancy": lambda _: (np.array([0.006]), 0.0)}
-    found = polish(TASK, 0.42, KNOWN, START, **known)
+    found = reach(0.42, discrepancy=lambda _: (np.array([0.006]), 0.0))
     assert missed(found.action, 0.42, off=0.02) < 1e-3
-
     # doubt keeps the action near to what was tried
-    def doubt(action):
-        return np.zeros(1), float(np.linalg.norm(action - START))
-
-    goal = 0.45
-    far = polish(TASK, goal, KNOWN, START, world=Throws())
-    near = polish(TASK, goal, KNOWN, START, world=Throws(), discrepancy=doubt)
-    assert np.linalg.norm(near.action - START) < np.linalg.norm(far.action - START)
+    doubt = lambda action: (np.zeros(1), float(np.linalg.norm(action - START)))  # noqa: E731
+    near, far = (reach(0.45, discrepancy=b).action - START for b in (doubt, None))
+    assert np.linalg.norm(near) < np.linalg.norm(far)
 
 
 def test_many_side_by_side_are_as_one_by_one():

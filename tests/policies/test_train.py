@@ -155,17 +155,15 @@ def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
     chance = policy.chances([[0.65], [0.65], [0.0]], {"bending_ratio": [0.15, 0.12, 0.08]})
     assert chance == pytest.approx([0.9, 0.9, 0.0], abs=0.07)
     # what is not known of an object asks for more
-    known, doubted = (cloth_of(e) for e in ([0.13], [0.13, 0.09]))
-    sure, careful = (policy.act((), known[0], likely=some) for some in (known, doubted))
+    item, other = (
+        with_dimensionless(ClothSpreading().item, {"bending_ratio": e}) for e in (0.13, 0.09)
+    )
+    sure, careful = (policy.act((), item, likely=some) for some in ([item], [item, other]))
     assert careful.action["A"] > sure.action["A"] + 0.1
     assert sure.chance == pytest.approx(0.9, abs=0.1)
-    assert policy.act((), known[0]) == sure
+    assert policy.act((), item) == sure
     blind = train(tries(2000), tmp_path / "b.onnx", replace(settings, epochs=5, conditioned_on=()))
-    assert blind.act((), known[0]).action["A"] >= 0.5
-
-
-def cloth_of(ratios):
-    return [with_dimensionless(ClothSpreading().item, {"bending_ratio": e}) for e in ratios]
+    assert blind.act((), item).action["A"] >= 0.5
 
 
 def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing(distal, tmp_path):
