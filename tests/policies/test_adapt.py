@@ -165,10 +165,11 @@ def gram(a, b):
     )
 
 
-def test_a_belief_is_the_most_likely_one_and_the_rest_a_gaussian_process():
+@pytest.mark.parametrize(("item", "share"), [(TRUE, 1.0), (ROPE, 0.5)])
+def test_a_belief_is_the_most_likely_one_and_the_rest_a_gaussian_process(item, share):
     """By a simplex search of the same sum of squares, and normal equations."""
     belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    seen = [executed(*a, off=off) for a, off in zip(ACTIONS, OFFS, strict=True)]
+    seen = [executed(*a, off=share * off, item=item) for a, off in zip(ACTIONS, OFFS, strict=True)]
     found = adapt(TASK, belief, seen, world=Throws())
     L = ROPE.length
     y, K = np.array([e.reached[0] for e in seen]) / L, gram(ACTIONS, ACTIONS) + 0.002**2 * np.eye(4)

@@ -267,6 +267,7 @@ GRAPHS = [
     *((cut, "is not an ONNX file") for cut in CUT),
     (varint(9 << 3 | 3) + b"xx", "is not an ONNX file"),
     (field(15, b""), "has sparse weights"),
+    (field(16, b"") + field(5, field(0, 5000)), None),
     (field(5, field(13, b"")), "keeps weights in another file"),
     (field(5, field(14, 1)), "keeps weights in another file"),
     (field(5, field(14, 0)), None),
