@@ -170,7 +170,7 @@ def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)
     real = replace(real, goal=real.goal + 0.03).chosen(real.parameters["bending_ratio"] < 0.35)
-    how = Training(epochs=60, finetune_steps=400)
+    how = Training(epochs=60, finetune_steps=500)
     tuned = train(toy(1200), tmp_path / "p.onnx", how, finetune=real)
     about, new = tuned.description.training, toy(500, seed=1)
     assert (about["demonstrations"], about["finetuned_on"]) == (1200, len(real))
