@@ -112,8 +112,8 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
                      "covariance": [[0.04**2, 0.0], [0.0, 0.1**2]]}  # fmt: skip
         return believed(Estimate.of(rope, posterior), task)
 
-    def demonstrator(task, world=None, items=()):
-        return Demonstrator(task=task, world=world or Thrown(), items=items)
+    def demonstrator(world=None, **given):
+        return Demonstrator(world=world or Thrown(), **given)
 
     monkeypatch.setattr(Runs, "lifted", lifted)
     monkeypatch.setattr(rope_real_module, "Demonstrator", demonstrator)
