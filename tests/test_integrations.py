@@ -2,14 +2,12 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("lerobot", reason="needs lerobot, which no extra brings")
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from lerobot.envs.configs import EnvConfig
-from lerobot.envs.utils import _call_make_env, _load_module_from_path, _normalize_hub_result
 from lerobot.robots import RobotConfig
 from lerobot.utils.import_utils import register_third_party_plugins
 
@@ -81,11 +79,3 @@ def test_the_policy_acts_in_the_environment(installed):
     _, reward, done, _, info = envs.step(action.numpy())
     envs.close()
     assert done.all() and (reward > -0.01).all() and info["final_info"]["is_success"].all()
-
-
-def test_the_environment_is_one_of_the_hub(tmp_path):
-    """As LeRobot loads a repository's env.py."""
-    module = _load_module_from_path(str(ROOT / "lerobot_env_gendom/lerobot_env_gendom/env.py"))
-    made = _normalize_hub_result(_call_make_env(module, 2, False, None))
-    seen = acted(made["gendom"][0])
-    assert seen.shape == (2, module.SEEN["rope-reaching"]) and np.isfinite(seen).all()

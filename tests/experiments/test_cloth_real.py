@@ -1,7 +1,10 @@
 """The table of cloths, and the search for motions that drag them, in worlds whose shares are a
 formula."""
 
+import json
+import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +12,12 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from experiments import cloth_real as module
+from experiments import real2sim
 from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
 from experiments.dragging import START, judged, search
 from experiments.runs import Runs
-from gendom.errors import GendomError
+from gendom.errors import GendomError, ParameterError
+from gendom.estimation import Verdict
 from gendom.materials import dimensionless_parameters
 from gendom.materials.estimate import Estimate
 from gendom.policies.belief import believed
@@ -119,3 +124,65 @@ def test_a_search_leads_each_family_to_a_better_motion():
     share = judged(Dragged(), motions, families, 4, seed=1)
     assert share.shape == (2, 2, 4)
     assert share[0, 0].mean() < 0.2 < 0.6 < share[0, 1].mean()
+
+
+ROPE, SHEET = "rope-cotton", "cloth-rubber"
+
+
+def found(record, reasons=()):
+    """What an estimate gives."""
+    verdict = Verdict(usable=not reasons, reasons=reasons)
+    return SimpleNamespace(record=record, verdict=verdict, usable=verdict.usable)
+
+
+@pytest.fixture
+def estimated(monkeypatch):
+    """Object, method and frames of estimates; E is found 10 % too high, and two methods cannot do
+    it."""
+    calls = []
+
+    def estimate(item, settings):
+        calls.append((item.name, settings.method, settings.frames))
+        assert (settings.starts, settings.max_iterations) == (1, 12)
+        if settings.method in ("adam", "pointnet"):
+            raise ParameterError("cannot do that", where="method adam")
+        truth = real2sim.truth_of(item)["E_over_rho"] * item.material.density
+        record = {key: 0.005 for key in real2sim.KEPT} | {"E": 1.1 * truth}
+        return found(record, ("is crumpled",) if item.kind == "cloth" else ())
+
+    monkeypatch.setattr(Runs, "recorded", lambda runs, label, item, motion: item)
+    monkeypatch.setattr(real2sim, "estimate", estimate)
+    monkeypatch.setattr(real2sim, "METHODS", {})  # which baselines join
+    return calls
+
+
+def test_every_method_has_a_row_or_a_reason(estimated, table, tmp_path):
+    words = ("real2sim", "--objects", ROPE, SHEET)
+    told = table(*words)
+    objects = json.loads((tmp_path / "real2sim.json").read_text())["objects"]
+    rows = objects[ROPE]
+    assert list(rows) == ["gauss-newton", "gauss-newton, last frame", "adam",
+                          "differential-evolution", "pointnet"]  # fmt: skip
+    assert rows["gauss-newton"]["error"] == pytest.approx(math.log(1.1))
+    assert rows["gauss-newton"]["truth"] == find_object(ROPE).material.E
+    assert rows["gauss-newton"]["chamfer_last"] == 0.005
+    assert rows["adam"]["skipped"] == "method adam: cannot do that"
+    (cloth,) = objects[SHEET].values()
+    m = find_object(SHEET).material
+    # as stiff a sheet at the nu of 0.3 that estimates assume
+    assert cloth["truth"] == pytest.approx(m.E * (1.0 - 0.3**2) / (1.0 - m.nu**2))
+    assert not cloth["usable"]
+    assert "differential-evolution" in told and "skipped: method adam: cannot do that" in told
+    # 0.034 and 0.092 of the cotton rope at twice its size
+    rope, sheet = real2sim.tables_of(objects)
+    assert rope.rows["adam"][4] == "17.0" and rope.rows["pointnet"][4] == "46.0"
+    assert rope.rows["gauss-newton"][2:5] == ("+0.095", "5.0", "")
+    assert "is crumpled" in str(sheet)
+    # rows are kept, and skipped ones are tried again
+    estimated.clear()
+    assert table(*words) == told
+    assert [method for _, method, _ in estimated] == ["adam", "pointnet"]
+    # an unknown object is refused before the work
+    estimated.clear()
+    error = table("real2sim", "--objects", ROPE, "rope-hemp", code=2)
+    assert "there is no object 'rope-hemp'" in error and estimated == []

@@ -1,8 +1,11 @@
-"""Whether intervals hold, from posteriors made by hand; ranks of drawn truths."""
+"""Whether intervals hold, from posteriors made by hand; ranks of drawn truths;
+recordings and calibrations with faults, and the tables of what was said of them."""
 
 import json
 import math
+import re
 from importlib import import_module
+from importlib.util import find_spec
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +13,11 @@ import pytest
 from scipy.stats import norm
 
 from experiments.__main__ import FIRST_REPORTED
+from experiments.calibration import FAULTS
 from experiments.coverage import check_unseen, covered, estimated_of, rank_band, shown_of
 from experiments.lifts import Lifts
-from experiments.sbc import imagined_lift, uniformity
+from experiments.sbc import uniformity
+from experiments.verdict import CORRUPTED, GOOD, confusion
 from gendom.errors import GendomError
 
 
@@ -143,18 +148,6 @@ def test_tests_of_ranks_tell_wrong_posteriors(sd, bias, right):
     assert (tests["ecdf_distance"] < tests["ecdf_band"]) == right
 
 
-def test_imagined_lifts_repeat_and_are_not_alike():
-    """Clouds of the rope, within the cameras' errors, in the frames that are compared."""
-    (a, truth), (b, again), (_, other) = (imagined_lift(Lifts(), seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(a.points, b.points)
-    assert truth == again and truth["E_over_rho"] != other["E_over_rho"]
-    first = a.frame(int(np.argmax(a.frame_valid)))
-    length, d = a.object.length, a.object.diameter
-    assert length is not None and d is not None
-    assert np.ptp(first[:, 0]) == pytest.approx(length, abs=0.02)
-    assert np.ptp(first[:, 2]) < 1.5 * d + 0.02
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sbc", "npe"])
 def test_the_command_makes_the_table(name, tmp_path, table, monkeypatch):
@@ -164,3 +157,43 @@ def test_the_command_makes_the_table(name, tmp_path, table, monkeypatch):
     assert "covered" in table(name, "--lifts", 2, "--seed", 3)
     made = json.loads(next(tmp_path.glob(f"{name}*[!0-9].json")).read_text())
     assert made["lifts"] == 2
+
+
+def answers(usable, *, right=False, ratio=1.0):
+    if not usable:
+        return {"usable": False, "reasons": ["so"]}
+    ratios = {"E_over_rho": 1.0, "E": ratio}
+    return {"usable": True, "right": right, "ratios": ratios}
+
+
+def test_the_table_counts_and_resumes(rope_lift, tmp_path, table):
+    """Cases that are kept are not estimated again."""
+    lifted = rope_lift.seen()
+    assert all(corrupt(lifted).digest != lifted.digest for corrupt in CORRUPTED.values())
+    for seed in range(3):
+        row = {case: answers(False) for case in CORRUPTED}
+        row[GOOD] = answers(True, right=True)
+        row["mass x 10"] = answers(seed > 0, right=seed > 1, ratio=10.0)
+        lifted.write(tmp_path / f"rope-{seed:04d}.npz")
+        for case, answer in row.items():
+            name = re.sub(r"\W+", "-", f"verdict-rope-{seed:04d}-{case}")
+            (tmp_path / f"{name}.json").write_text(json.dumps(answer))
+    said = table("verdict", "--lifts", 3)
+    assert "E / true E at worst" in said and "seed 1, mass x 10: E x 10.00" in said
+    result = json.loads((tmp_path / "verdict-rope.json").read_text())
+    assert result["cases"] == confusion(result["rows"])
+    assert result["cases"][GOOD] == {"refused": 0, "right": 3, "wrong": 0}
+    assert result["cases"]["mass x 10"] == {"refused": 1, "right": 1, "wrong": 1}
+
+
+@pytest.mark.skipif(not find_spec("cv2"), reason="needs the extra `camera`")
+def test_every_fault_of_a_calibration_is_named_or_covered(tmp_path, table):
+    faults = table("calibration", "--lifts", 1, "--json")["faults"]
+    assert list(faults) == list(FAULTS)
+    for name, found in faults.items():
+        assert found["held"] == 1.0, name
+        if FAULTS[name] and "0.5 to 5" not in name and "principal" not in name:
+            assert found["named"] == 1, name
+    assert faults["none"]["refused"] == faults["one pose, 2 to 30 mm"]["refused"] == 0
+    text = (tmp_path / "calibration.txt").read_text()
+    assert all(name in text for name in FAULTS)

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import pytest
 
-from gendom.materials import PARAMETERS
+from gendom.materials import (
+    PARAMETERS,
+    Material,
+    Rope,
+    dimensionless_parameters,
+    size_of,
+)
 from gendom.policies import Column, Description, GoalRange, Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import RopeReaching
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 
 class FakeSession:
@@ -17,9 +28,15 @@ class FakeSession:
     def __init__(self):
         self.fed: dict[str, np.ndarray] = {}
         self.offset = 0.0
+        self.answer: Any = None
+        """In place of the release; an exception is raised."""
 
     def run(self, names, feed):
         self.fed = {name: value.copy() for name, value in feed.items()}
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        if self.answer is not None:
+            return [np.array(self.answer, np.float32)]
         goal = feed["goal_x"]
         stiffness = np.log(feed.get("bending_ratio", np.full_like(goal, 0.4)) / 0.4)
         x = 0.6 - 0.3 * (goal - 1.4) + 0.02 * stiffness + self.offset
@@ -73,3 +90,38 @@ def make_policy():
 @pytest.fixture
 def description() -> Description:
     return describe()
+
+
+# ---- a task solved in closed form: a thrown stone whose reach depends on E and damping -----------
+
+TASK = RopeReaching().of_one_size()
+ROPE = Rope(
+    length=0.3, diameter=0.016, material=Material(E=8e5, nu=0.3, density=900.0, damping=0.004)
+)
+
+
+def reach_of(x, z, E, damping):
+    """In rope lengths: grows with x and z, and the more with E and the less with damping."""
+    return 1.1 + 0.5 * x + (0.6 * np.log(E / 0.4) - 6.0 * (damping - 0.02)) * z
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throws(Simulation):
+    """`reach_of` in place of a simulation."""
+
+    off: float = 0.0
+    """Added to each reach [lengths]."""
+    risky_above: float = 9.0
+    """Releases higher than this leave their plane [lengths]."""
+    fails: bool = False
+
+    def carry_out(self, task, items, actions, **_):
+        outcomes = []
+        for item, (x, z) in zip(items, np.asarray(actions), strict=True):
+            L, alike = size_of(item), dimensionless_parameters(item)
+            reached = reach_of(x / L, z / L, alike["bending_ratio"], alike["damping"]) + self.off
+            values = {"x": L * reached, "sideways": 0.0 if z < self.risky_above * L else 0.1 * L}
+            outcomes.append(
+                Outcome(values={}, fault="it burst") if self.fails else Outcome(values=values)
+            )
+        return outcomes

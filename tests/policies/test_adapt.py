@@ -16,7 +16,7 @@ from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import believed, uncertain, weighed
 from gendom.tasks import ClothSpreading
 from gendom.tasks.task import Outcome
-from policies.ballistic import ROPE, TASK, Throws, reach_of
+from policies.conftest import ROPE, TASK, Throws, reach_of
 
 
 def gaussian(names, mean, covariance) -> dict:
@@ -165,10 +165,11 @@ def gram(a, b):
     )
 
 
-def test_a_belief_is_the_most_likely_one_and_the_rest_a_gaussian_process():
+@pytest.mark.parametrize(("item", "share"), [(TRUE, 1.0), (ROPE, 0.5)])
+def test_a_belief_is_the_most_likely_one_and_the_rest_a_gaussian_process(item, share):
     """By a simplex search of the same sum of squares, and normal equations."""
     belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    seen = [executed(*a, off=off) for a, off in zip(ACTIONS, OFFS, strict=True)]
+    seen = [executed(*a, off=share * off, item=item) for a, off in zip(ACTIONS, OFFS, strict=True)]
     found = adapt(TASK, belief, seen, world=Throws())
     L = ROPE.length
     y, K = np.array([e.reached[0] for e in seen]) / L, gram(ACTIONS, ACTIONS) + 0.002**2 * np.eye(4)
@@ -210,18 +211,17 @@ ASKED: list[float] = []
 
 
 class Bends(Throws):
-    """Reaches that bend back beyond some E, so that whole steps gain nothing."""
+    """Reaches that bend back beyond some E: whole steps gain nothing, and larger ones fail."""
 
     def carry_out(self, task, items, actions, **_):
-        found = []
+        outcomes = []
         for item in items:
             x = math.log(item.material.E / ROPE.material.E)
             ASKED.append(round(x, 9))
-            bad = x > self.risky_above
-            found.append(Outcome(values={}, fault="burst") if bad else Outcome(
-                values={"x": item.length * (1.0 + self.off * math.tanh(60.0 * x)), "sideways": 0.0}
-            ))  # fmt: skip
-        return found
+            values = {"x": item.length * (1.0 + self.off * math.tanh(60.0 * x)), "sideways": 0.0}
+            fault = "burst" if x > self.risky_above else None
+            outcomes.append(Outcome(values={} if fault else values, fault=fault))
+        return outcomes
 
 
 @pytest.mark.parametrize("most", [9.0, 0.02])

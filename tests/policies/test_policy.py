@@ -267,6 +267,7 @@ GRAPHS = [
     *((cut, "is not an ONNX file") for cut in CUT),
     (varint(9 << 3 | 3) + b"xx", "is not an ONNX file"),
     (field(15, b""), "has sparse weights"),
+    (field(16, b"") + field(5, field(0, 5000)), None),
     (field(5, field(13, b"")), "keeps weights in another file"),
     (field(5, field(14, 1)), "keeps weights in another file"),
     (field(5, field(14, 0)), None),
@@ -304,40 +305,23 @@ def test_ranges_of_goals_are_interpolated_in_the_logarithm():
     assert GoalRange(at=(0.1,), low=((),), high=((),))(0.3).shape == (0, 2)
 
 
-class Odd(FakeSession):
-    """A network that gives other numbers."""
-
-    def __init__(self, out):
-        super().__init__()
-        self.out = out
-
-    def run(self, names, feed):
-        super().run(names, feed)
-        if isinstance(self.out, Exception):
-            raise self.out
-        return [np.array(self.out, np.float32)]
-
-
 @pytest.mark.parametrize(
-    ("out", "said"),
+    ("answer", "said"),
     [
-        ([[0.1, 0.2]], None),
         ([[0.1, 0.2]] * 2, "of shape (2, 2)"),
         ([[0.1, np.inf]], "that are not finite"),
         (RuntimeError("x"), "not at all (RuntimeError)"),
     ],
 )
-def test_a_network_is_tried_at_the_middle_of_its_ranges(out, said):
-    policy = Policy(session := Odd(out), describe(), where="f")
-    if said is None:
-        assert policy._tried() is policy
-        assert session.fed["goal_x"] == pytest.approx(np.array([[1.45]]))
-        assert session.fed["bending_ratio"] == pytest.approx(np.array([[0.475]]))
-        assert session.fed["nu"] == pytest.approx(np.array([[0.3]]))
-        return
+def test_a_network_is_tried_at_the_middle_of_its_ranges(make_policy, answer, said):
+    policy, session = make_policy()
+    assert policy._tried() is policy
+    middle = {"goal_x": 1.45, "bending_ratio": 0.475, "nu": 0.3}
+    assert {name: value[0, 0] for name, value in session.fed.items()} == pytest.approx(middle)
+    session.answer = answer
     with pytest.raises(PolicyError) as caught:
         policy._tried()
-    assert str(caught.value) == f"f: its network gives actions {said}; train it again"
+    assert str(caught.value) == f"fake.onnx: its network gives actions {said}; train it again"
 
 
 @pytest.mark.parametrize(

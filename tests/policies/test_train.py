@@ -11,9 +11,8 @@ from gendom.materials import PARAMETERS, dimensionless_parameters, size_of, with
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeReaching
-from policies.ballistic import TASK as THROWING
-from policies.ballistic import Throws, reach_of
-from policies.conftest import demonstrations
+from policies.conftest import TASK as THROWING
+from policies.conftest import Throws, demonstrations, reach_of
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
@@ -111,9 +110,9 @@ def test_file_is_small_and_says_what_it_is(distal):
     assert about == distal.description
     assert about.task == {"name": "rope-reaching", **RopeReaching().settings()}
     assert about.conditioned_on == ("bending_ratio", "nu")
-    trained = about.training
-    assert (trained["demonstrations"], trained["held_out"], trained["seed"]) == (1200, 120, 0)
     assert about.parameters["nu"] == pytest.approx((0.2, 0.4), abs=0.001)
+    counted = {"demonstrations": 1200, "held_out": 120, "seed": 0}
+    assert counted.items() <= about.training.items()
 
 
 def test_equal_seeds_give_equal_policies(tmp_path):
@@ -156,24 +155,22 @@ def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
     chance = policy.chances([[0.65], [0.65], [0.0]], {"bending_ratio": [0.15, 0.12, 0.08]})
     assert chance == pytest.approx([0.9, 0.9, 0.0], abs=0.07)
     # what is not known of an object asks for more
-    known, doubted = (cloth_of(e) for e in ([0.13], [0.13, 0.09]))
-    sure, careful = (policy.act((), known[0], likely=some) for some in (known, doubted))
+    item, other = (
+        with_dimensionless(ClothSpreading().item, {"bending_ratio": e}) for e in (0.13, 0.09)
+    )
+    sure, careful = (policy.act((), item, likely=some) for some in ([item], [item, other]))
     assert careful.action["A"] > sure.action["A"] + 0.1
     assert sure.chance == pytest.approx(0.9, abs=0.1)
-    assert policy.act((), known[0]) == sure
+    assert policy.act((), item) == sure
     blind = train(tries(2000), tmp_path / "b.onnx", replace(settings, epochs=5, conditioned_on=()))
-    assert blind.act((), known[0]).action["A"] >= 0.5
-
-
-def cloth_of(ratios):
-    return [with_dimensionless(ClothSpreading().item, {"bending_ratio": e}) for e in ratios]
+    assert blind.act((), item).action["A"] >= 0.5
 
 
 def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing(distal, tmp_path):
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)
     real = replace(real, goal=real.goal + 0.03).chosen(real.parameters["bending_ratio"] < 0.35)
-    how = Training(epochs=60, finetune_steps=400)
+    how = Training(epochs=60, finetune_steps=500)
     tuned = train(toy(1200), tmp_path / "p.onnx", how, finetune=real)
     about, new = tuned.description.training, toy(500, seed=1)
     assert (about["demonstrations"], about["finetuned_on"]) == (1200, len(real))

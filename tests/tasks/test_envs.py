@@ -35,14 +35,6 @@ def episode(envs, action):
     return np.array(seen), reward, info
 
 
-def test_the_space_has_markers_tool_goal_and_parameters(envs):
-    seen, info = envs.reset(seed=0)
-    assert seen.shape == (W, 6 * MARKERS + 5 + 1 + 5)
-    assert np.array_equal(seen[:, -5:], info["parameters"].astype(np.float32))
-    assert len(np.unique(seen[:, -5])) > 1  # ropes of their own, drawn from the bank
-    assert envs.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.NEXT_STEP
-
-
 def test_a_cloud_stands_in_place_of_markers(envs, monkeypatch):
     """Its points lie on the skin of what the markers show; drawn by the seed."""
     monkeypatch.setattr("gendom.tasks.envs.BANK", 8)
@@ -65,6 +57,10 @@ def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
         return [-0.25, 0.0, 1.0] if k < 20 else [0.0, 0.0, -1.0]
 
     seen, reward, info = episode(envs, pull)
+    assert seen.shape == (STEPS + 1, W, 6 * MARKERS + 5 + 1 + 5)
+    parameters = envs.reset(seed=1)[1]["parameters"]
+    assert np.array_equal(seen[0, :, -5:], parameters.astype(np.float32))
+    assert len(np.unique(parameters[:, 0])) > 1  # ropes of their own, drawn from the bank
     rest, *_ = episode(envs, lambda k: [0.0, 0.0, 1.0])
     assert np.all((reward > -2.0) & (reward <= 0.0))
     L, goal = size_of(StepsVectorEnv("rope-reaching").task.item), seen[0][:, -6]
@@ -84,32 +80,32 @@ def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
 @pytest.mark.parametrize(
     "task", ["rope-casting", pytest.param("cloth-spreading", marks=pytest.mark.slow)]
 )
-def test_other_tasks_have_environments_too(task, monkeypatch):
+def test_gymnasium_finds_nothing_amiss_and_bad_steps_are_refused(task, monkeypatch):
     monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
-    made = StepsVectorEnv(task, 2)
-    seen, _ = made.reset(seed=0)
-    after, *_ = made.step(np.ones((2, 2)))
-    assert np.isfinite(after).all()
-    assert np.all(after[:, 6 * MARKERS] > seen[:, 6 * MARKERS])  # the tool went ahead
-
-
-def test_gymnasium_finds_nothing_amiss_and_bad_steps_are_refused(monkeypatch):
-    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
-    check_env(StepsEnv("rope-casting"), skip_render_check=True)
-    for words, task, settings in (
-        ("rope-reaching", "rope-knotting", {"num_envs": 1}),
-        ("num_envs", "rope-casting", {"num_envs": 0}),
-        ("cloud must be at least 0", "rope-reaching", {"num_envs": 1, "cloud": -1}),
-    ):
-        with pytest.raises(ParameterError, match=words):
-            StepsVectorEnv(task, **settings)
-    one = gymnasium.make(f"{MODULE}gendom/RopeCastingSteps-v0").unwrapped
+    one = StepsEnv(task)
     with pytest.raises(ParameterError, match="call reset first"):
         one.step(np.zeros(2))
-    one.reset(seed=0)
+    check_env(one, skip_render_check=True)
+    seen, _ = one.reset(seed=0)
+    after, *_ = one.step(np.ones(2))
+    assert np.isfinite(after).all()
+    assert after[6 * MARKERS] > seen[6 * MARKERS]  # the tool went ahead
     with pytest.raises(ParameterError, match="actions"):
         one.step(np.zeros(3))
     while not one.step(np.zeros(2))[2]:
         pass
     with pytest.raises(ParameterError, match="the episode is over"):
         one.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("words", "task", "settings"),
+    [
+        ("rope-reaching", "rope-knotting", {"num_envs": 1}),
+        ("num_envs", "rope-casting", {"num_envs": 0}),
+        ("cloud must be at least 0", "rope-reaching", {"num_envs": 1, "cloud": -1}),
+    ],
+)
+def test_environments_that_there_cannot_be_are_refused(words, task, settings):
+    with pytest.raises(ParameterError, match=words):
+        StepsVectorEnv(task, **settings)
