@@ -95,7 +95,6 @@ def test_where_the_sdk_is_missing_or_does_not_load(monkeypatch):
 @pytest.mark.parametrize(
     ("encoding", "data", "pixels"),
     [
-        ("rgb8", [1, 2, 3, 4, 5, 6], [[1, 2, 3], [4, 5, 6]]),
         ("bgr8", [1, 2, 3, 4, 5, 6], [[3, 2, 1], [6, 5, 4]]),
         ("rgba8", [1, 2, 3, 0, 4, 5, 6, 0], [[1, 2, 3], [4, 5, 6]]),
         ("mono16", [1, 2, 3, 4], [0x0201, 0x0403]),
