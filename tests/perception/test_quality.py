@@ -69,8 +69,3 @@ def test_a_rope_near_itself_is_whole_and_with_something_beside_it_is_refused(tur
     away = p[1000] + np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 0.15], 500)
     assert not find_line(np.concatenate([p, away]), ROPE, np.zeros(3)).clear
     assert not find_line(p, replace(ROPE, length=0.3), np.zeros(3)).clear
-
-
-def test_a_part_of_a_rope_near_itself_may_be_something_else():
-    p = bent(lambda s: np.interp(s, [0.4, 0.6], [0.0, np.pi]))
-    assert not find_line(p, replace(ROPE, length=0.5), np.zeros(3)).clear

@@ -7,72 +7,13 @@ import pytest
 
 from gendom.errors import RecordingError
 from gendom.perception import perceive, read_cameras
-from gendom.perception.robot import FINGER_MARGIN, arm_capsules
-from gendom.robot import XARM7, JointStates, arm_shape, follow, lift, pointing, solutions, tcp_pose
+from gendom.perception.robot import FINGER_MARGIN
+from gendom.robot import XARM7, arm_shape, follow, lift, pointing, tcp_pose
 
 PLACE = np.array([0.45, 0.0, 0.0])
 """Where the rope of these tests hangs."""
 
 DIAMETER = 0.01
-
-
-def at_rest(q, opening=None):
-    """The arm's capsules, standing still."""
-    openings = None if opening is None else np.array([opening])
-    return arm_capsules(XARM7, JointStates(np.zeros(1), q[None], openings), held=DIAMETER).at(0.0)
-
-
-def surface(shape, c, n, rng):
-    """[2 n, 3] points on a capsule of an arm's shape: of its ends and its side."""
-    a, along = shape.start[c], shape.end[c] - shape.start[c]
-    d = rng.normal(size=(n, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    ends = a + (d @ along > 0)[:, None] * along
-    side = d - np.outer(d @ along, along) / max(along @ along, 1e-12)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    around = a + rng.uniform(size=(n, 1)) * along
-    return np.concatenate([ends + shape.radius[c] * d, around + shape.radius[c] * side])
-
-
-@pytest.fixture(scope="module")
-def q():
-    T = tcp_pose(XARM7, XARM7.home)
-    T[:3, 3] = PLACE + np.array([0.0, 0.0, 0.25])
-    return solutions(XARM7, T)[0]
-
-
-def test_the_arm_goes_and_what_is_near_or_held_stays(q):
-    """All of its surface, wherever it stands and within 8 mm; the fingers' within 2 mm."""
-    rng = np.random.default_rng(0)
-    turned = np.array([0.5, -0.4, 0.3, 1.2, -0.6, 1.0, 0.7])
-    for angles, opening in ((q, DIAMETER), (turned, 0.05)):
-        shape, capsules = arm_shape(XARM7, angles, opening), at_rest(angles, opening)
-        for c, fingers in enumerate(shape.touches_object):
-            points = surface(shape, c, 60, rng)
-            away = rng.normal(size=points.shape)
-            away *= (0.002 if fingers else 0.008) / np.linalg.norm(away, axis=1, keepdims=True)
-            assert capsules.contain(points + away, 0.01).all(), shape.names[c]
-    # an object 2 cm from the fingers stays
-    shape, capsules = arm_shape(XARM7, q, DIAMETER), at_rest(q)
-    tcp = tcp_pose(XARM7, q)[:3, 3]
-    fingers = np.flatnonzero(shape.touches_object)
-    reach = np.abs(np.stack([shape.start, shape.end])[:, fingers] - tcp).max(axis=0)
-    outer = (reach + shape.radius[fingers, None]).max(axis=0)
-    for way in ([0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]):
-        beyond = 0.02 + (outer @ np.abs(way) if way[2] == 0 else 0.0)
-        assert not capsules.contain((tcp + beyond * np.array(way))[None], 0.01)[0]
-    # what the fingers hold is not erased
-    capsules = at_rest(q)
-    tcp = tcp_pose(XARM7, q)[:3, 3]
-    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 73), np.linspace(-0.05, 0.03, 81))
-    around = 0.5 * DIAMETER * np.stack([np.cos(angle), np.sin(angle)], -1)
-    rope = tcp + np.concatenate([around, height[..., None]], axis=-1)
-    erased = capsules.contain(rope.reshape(-1, 3), 0.01).reshape(height.shape)
-    between = (height[:, 0] > 0.0) & (height[:, 0] < 0.025)
-    assert 0.2 < 1.0 - erased[between].mean() < 0.45
-    middle = np.abs(around[..., 1]) < 0.5 * DIAMETER - FINGER_MARGIN - 1e-3
-    assert not erased[between][middle[between]].any()
-    assert not erased[height[:, 0] < -0.015].any()
 
 
 @pytest.fixture(scope="module")

@@ -75,11 +75,10 @@ def test_a_cloth_lifted_in_mujoco_moves_as_ours(tmp_path, estimate, name):
     assert lifted(folder)[0] < 4.0
 
 
-@pytest.mark.parametrize("words", [COTTON, CLOTH], ids=["rope", "cloth"])
-def test_usd_holds_the_lift_and_the_parameters(tmp_path, words):
-    folder = written(tmp_path, *words, "--to", "usd")
+def test_usd_holds_the_lift_and_the_parameters(tmp_path):
+    folder = written(tmp_path, *COTTON, "--to", "usd")
     text = (folder / "object.usda").read_text()
-    assert f"custom double gendom:E = {catalogue.get(words[0]).E.typical!r} " in text
+    assert f"custom double gendom:E = {catalogue.get('cotton-rope').E.typical!r} " in text
     frames = re.findall(r"^ +(\d+): \[(.*)\],$", text, re.MULTILINE)
     assert [int(k) for k, _ in frames] == list(range(len(frames))) and len(frames) > 15
     first, last = (max(map(float, re.findall(r", (-?[\d.]+)\)", frames[k][1]))) for k in (0, -1))
