@@ -58,9 +58,17 @@ def test_gymnasium_finds_nothing_to_blame(name):
         check_env(make(name, parameters=True), skip_render_check=True)
 
 
-def test_every_task_has_an_id():
+def test_every_task_has_an_id_those_of_other_packages_too(run_python):
     assert {f"gendom/{name}-v0" for name in NUMBERS} <= set(gymnasium.registry)
     assert len(NUMBERS) == len(task_names())
+    code = """
+import gymnasium
+from gendom import tasks
+class Dragging(tasks.RopeCasting): name = 'rope-dragging'
+tasks.register(Dragging)
+env = gymnasium.make('gendom.reality:gendom/RopeDragging-v0', robot=False)
+print(type(env.unwrapped.task).__name__)"""
+    assert run_python(code) == "Dragging"
 
 
 @pytest.mark.parametrize("name", NUMBERS)

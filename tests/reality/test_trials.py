@@ -123,26 +123,20 @@ def test_what_is_done_by_default_touches_nothing(trial):
     assert CollisionChecker(XARM7, surroundings(cameras), opening=thick).along(motion) is None
 
 
-@pytest.fixture(scope="module")
-def stretched():
-    """A release by the free hand and by the arm: the run, what was seen, what is reached."""
+def test_reaching_by_arm_and_by_free_hand():
     both, trial = [], replace(task_trial(REACHING, POLYESTER, STRETCHED), timestep=1e-3)
     for robot in (False, True):
         run = TrialRun(trial, robot=robot)
         seen = observe(REACHING, run)
         both.append((run, seen, REACHING.outcome(POLYESTER, seen)))
-    return both
-
-
-def test_reaching_by_arm_and_by_free_hand(stretched):
-    (_, _, free), (run, _, arm) = stretched
+    (_, _, free), (run, _, arm) = both
     assert run.motion is not None and run.motion.slowed_by == 1.0
     run.motion.check_limits(XARM7)
     assert arm["x"] == pytest.approx(free["x"], abs=0.003)
     assert arm["sideways"] < 0.015
     L = POLYESTER.length
     wait = 3.0 * np.sqrt(L / 9.81)
-    for run, seen, values in stretched:
+    for run, seen, values in both:
         # the release keeps its time, here and on the task's clock, 0 when the hand begins to move
         moves = run.closes + wait
         assert run.opens == pytest.approx(moves + 0.57 * PAPER_CLOCK, abs=1e-9)
