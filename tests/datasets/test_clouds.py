@@ -13,7 +13,7 @@ import pytest
 
 from gendom import reading
 from gendom.datasets import Recording, read_pcd, read_ply
-from gendom.datasets.npz import read_npz, read_npz_cloud, short
+from gendom.datasets.npz import read_npz, read_npz_cloud
 from gendom.errors import RecordingError
 
 CLOUD = np.array([[0.1, -2.0, 3.5], [1e-7, 0.0, -0.25], [4.0, 5.0, 6.0]])
@@ -396,7 +396,6 @@ def test_bounds(tmp_path):
     for size, said in ((1 << 23, "meta.format: is None"), ((1 << 23) + 1, "or no JSON text")):
         with pytest.raises(RecordingError, match=said):
             read_npz(saved(path, meta=np.array("{}".ljust(size))))
-    assert short(ValueError("a" * 130 + "\nb")) == "a" * 120 and short(KeyError()) == "KeyError"
 
 
 # ---- shapes at rest ------------------------------------------------------------------------------

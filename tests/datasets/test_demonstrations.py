@@ -217,7 +217,6 @@ def described(**changes):
     "text, says",
     [
         ("{", "is not JSON"),
-        (described(format="gendom-recording/1"), "has the format 'gendom-recording/1'"),
         (described(format="gendom-demonstrations/1"), "has the format 'gendom-demonstrations/1'"),
         (described().replace("task", "tusk"), "field task"),
         (described(size=10**13), "has 2500000000000 shards"),

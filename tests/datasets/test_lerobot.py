@@ -113,18 +113,6 @@ def reader(tmp_path, monkeypatch):
     return pytest.importorskip("lerobot.datasets.lerobot_dataset", reason=reason)
 
 
-def test_lerobot_reads_demonstrations(made, reader):
-    frames = pq.read_table(made[1] / DATA).to_pylist()
-    found = reader.LeRobotDataset("gendom/test", root=made[1])
-    assert (found.num_episodes, found.num_frames, found.fps) == (len(frames), len(frames), 1)
-    assert found.meta.get_task_index("rope-reaching") == 0
-    assert found.meta.features["action"]["units"] == ["m", "m"]
-    for item, row in zip(found, frames, strict=True):
-        assert item["task"] == "rope-reaching"
-        for name in ("observation.state", "action"):
-            assert item[name].tolist() == row[name]
-
-
 # ---- recordings ------------------------------------------------------------------------------
 
 

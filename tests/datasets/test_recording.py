@@ -339,14 +339,12 @@ def test_files_that_are_no_recordings(lift, tmp_path):
     no_text = "meta: is missing, or no JSON text; gendom.Recording.from_frames(...).write makes"
     for data, said in (
         (whole[: len(whole) // 2], "is damaged ("),
-        (whole[:200] + bytes(50) + whole[250:], "is damaged ("),
         (b"", "is no .npz file; write gendom-recording/1 with numpy.savez"),
         (archive(points=np.zeros((1, 3))), no_text),
         (archive(meta=np.array(["{}", "{}"])), no_text),
         (archive(meta=np.array(3)), no_text),
         (archive(meta=np.array("{")), "meta: is not JSON"),
         (archive(meta=np.array("[]")), "meta: holds a JSON list, not an object"),
-        (archive(meta=np.array({}, dtype=object)), "holds Python objects (pickles), which are nev"),
     ):
         path.write_bytes(data)
         assert refusal(path)[0].startswith(said)

@@ -70,15 +70,6 @@ def test_one_camera_and_json_that_has_all_frames(lift, command):
         assert stages == sorted(stages, reverse=True)
 
 
-def test_a_rope_longer_than_stated_is_told(copy, command):
-    """What is beyond the stated length is left out, but not without a word."""
-    about = copy / "object.toml"
-    about.write_text(about.read_text().replace("length = 0.4", "length = 0.34"))
-    code, printed, _ = command(copy, *RED)
-    assert code == 0
-    assert "beyond a line of 0.34 m and are left out; check the stated length" in printed.out
-
-
 @pytest.mark.parametrize(
     ("shift", "words"),
     [((0.03, 0, 0), "apart"), ((0, 0, 0.03), "table"), ((0, 0.008, 6e-3), "")],
@@ -206,6 +197,8 @@ def cut_frames(folder):
 
 ALL, ZERO = [0, 1, 2, 3, 4], "000000.png: 1 of 5 frames cannot be read and are left out; the fir"
 LEFT_OUT = [
+    (edit("object.toml", "length = 0.4", "length = 0.34"), ALL,
+     "beyond a line of 0.34 m and are left out; check the stated length"),
     (text(LEFT_FRAMES, lambda s: "\n".join(s.split("\n")[:-2])), ALL[:4], "1 of 5 frames match no"),
     (cut_frames, ALL[:3], "1 of 5 rows are cut short | 000003.png: 1 of 4 frames cannot"),
     (empty("cameras/right/depth/000000.png"), ALL[1:], f"{ZERO} | only 0 of 76800"),

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import rigid
-from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.perception import CameraRecording, FrameSource, PerceptionSettings, RobotPath, perceive
 
@@ -37,7 +36,7 @@ def live(world):
     return recorded
 
 
-def test_any_source_of_frames_will_do(live, tmp_path):
+def test_any_source_of_frames_will_do(live):
     """Frames outside of the robot's path are not decoded."""
     recorded, warnings = live(4, times=(1 / 30, 1.0)), []
     assert all(isinstance(source, FrameSource) for source in recorded.sources)
@@ -45,11 +44,7 @@ def test_any_source_of_frames_will_do(live, tmp_path):
     assert recorded.sources[0].decoded == 3 and "1 of 4 frames are outside" in str(warnings[0])
     assert found.counts[:, -1].tolist() == np.diff(found.recording.offsets).tolist()
     assert found.recording.gripper_position[0, 0, 2] == pytest.approx(0.2)
-    found.recording.write(tmp_path / "a.npz")
-    again = Recording.read(tmp_path / "a.npz")
-    np.testing.assert_array_equal(again.points, found.recording.points)
-    np.testing.assert_array_equal(again.seen_by, found.recording.seen_by)
-    assert again.extra["perception"]["cameras"] == ["left", "right"]
+    assert found.recording.extra["perception"]["cameras"] == ["left", "right"]
     # table height is measured where it is unknown
     found = perceive(live(1, {"object": ROPE["object"]}), SETTINGS)
     assert found.recording.table_height == pytest.approx(0.0, abs=1e-3)

@@ -4,23 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from gendom.datasets import ObjectDescription
 from gendom.perception.line import find_line
 from gendom.perception.quality import seen_share
-
-
-def test_share_of_a_cloth():
-    """However it lies, and closer on average over all directions."""
-    u, v = np.meshgrid(np.linspace(0, 0.12, 90), np.linspace(0, 0.3, 150))
-    p = np.stack([u, v, 0 * u], axis=-1).reshape(-1, 3)
-    cloth = ObjectDescription(kind="cloth", width=0.3, height=0.3)
-    turns = Rotation.from_quat(np.random.default_rng(0).normal(size=(20, 4)))
-    found = [seen_share(turn.apply(p), cloth) for turn in turns]
-    assert found == pytest.approx(np.full(20, 0.4), abs=0.2)
-    assert np.mean(found) == pytest.approx(0.4, abs=0.1)
-
 
 ROPE = ObjectDescription(kind="rope", length=0.4, diameter=0.01)
 

@@ -10,9 +10,6 @@ from gendom.perception import perceive, read_cameras
 from gendom.perception.robot import FINGER_MARGIN
 from gendom.robot import XARM7, arm_shape, follow, lift, pointing, tcp_pose
 
-PLACE = np.array([0.45, 0.0, 0.0])
-"""Where the rope of these tests hangs."""
-
 DIAMETER = 0.01
 
 
@@ -22,22 +19,21 @@ def seen(world, tmp_path_factory):
 
     Half the resolution and half the pixels' noise: depth noise is that of 640 x 480.
     """
-    folder, rate = tmp_path_factory.mktemp("arm") / "lift", 10.0
-    start = PLACE + np.array([0.0, 0.0, 0.2])
+    folder = tmp_path_factory.mktemp("arm") / "lift"
     # The fingers open across the cameras' view, so that these see what is between them.
     turned = pointing([0, 0, -1], [1, 0, 0])
-    path = lift(start, height=0.02, speed=0.05, wait=0.1, quat_xyzw=turned)
+    path = lift([0.45, 0.0, 0.2], height=0.02, speed=0.05, wait=0.1, quat_xyzw=turned)
     motion = follow(XARM7, path).shifted(-0.1)
 
     def scene(t):
-        q = motion.at(t / rate)
+        q = motion.at(0.1 * t)
         shape = arm_shape(XARM7, q, DIAMETER)
         tip = tcp_pose(XARM7, q)[:3, 3] + [0.0, 0.0, 0.02]
         links = zip(shape.start, shape.end, shape.radius, strict=True)
         arm = [world.Rope(np.array(ends), r, world.GREY) for *ends, r in links]
         return [*arm, world.lifted_rope(tip=tuple(tip))]
 
-    ends = {"left": (0.45, -0.65, 0.47), "right": (0.55, 0.65, 0.47)}
+    eyes = {"left": (0.45, -0.65, 0.47), "right": (0.55, 0.65, 0.47)}
     world.write_lift(
         folder,
         frames=1,
@@ -46,7 +42,7 @@ def seen(world, tmp_path_factory):
         sensor=world.Sensor(subpixel=0.04, quantisation=1.0 / 64.0),
         cameras=[
             world.make_camera(name, eye=eye, target=(0.45, 0.0, 0.1), scale=0.5)
-            for name, eye in ends.items()
+            for name, eye in eyes.items()
         ],
     )
     time = motion.sampled(100.0)

@@ -118,7 +118,6 @@ def test_reaching_is_the_trial_and_its_goal():
     assert info["reached"] == pytest.approx([direct["x"]], abs=1e-9)
     assert reward == pytest.approx(-abs(direct["x"] - 0.4), abs=1e-9) and reward < -0.02
     assert terminated and not truncated and observation["goal"] == pytest.approx([0.4])
-    assert info["sideways"] == pytest.approx(0.0, abs=1e-9)
     assert info["refused"] is None
     np.testing.assert_array_equal(info["action"], STRETCHED)
 

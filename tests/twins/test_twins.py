@@ -105,16 +105,14 @@ def scripted(tmp_path, words, target):
 
 
 @pytest.mark.usefixtures("still")
-def test_newtons_rod_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
-    arrays = scripted(tmp_path, COTTON, "newton")[1]
+def test_rods_are_as_heavy_and_as_stiff_as_the_rope(tmp_path):
+    """Newton's, and Genesis' chain."""
+    EI, mass = stiffness_and_mass()
+    arrays = scripted(tmp_path / "newton", COTTON, "newton")[1]
     whole = float(arrays["mass"]) * (len(arrays["nodes"]) - 1)
-    assert (float(arrays["EI"]), whole) == pytest.approx(stiffness_and_mass())
-
-
-@pytest.mark.usefixtures("still")
-def test_genesis_chain_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
+    assert (float(arrays["EI"]), whole) == pytest.approx((EI, mass))
     folder, arrays = scripted(tmp_path, COTTON, "genesis")
-    chain, (EI, mass) = ElementTree.parse(folder / "rope.xml"), stiffness_and_mass()
+    chain = ElementTree.parse(folder / "rope.xml")
     weights = [float(of.attrib["mass"]) for of in chain.iter("inertial")]
     assert len(weights) == len(arrays["rest"]) == 20
     assert sum(weights) == pytest.approx(mass)
