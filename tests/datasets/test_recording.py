@@ -277,7 +277,7 @@ WARNED = [
     (AWAY | closed(1, 1, 1, 1, 0), []),
     (closed(0, 0, 1, 1, 0), ["gripper_closed, gripper 0: is open until frame 2; "]),
     ({"gripper_position": lambda a: a[[0] * 5]}, ["gripper_position: moves by 0 m in all; record"]),
-    ({"points": lambda a: a * np.float32([2, 1, 1]), "offsets": lambda a: a * (a > 20)},
+    ({"points": lambda a: a * np.array([2, 1, 1], np.float32), "offsets": lambda a: a * (a > 20)},
      ["points: 1 of 5 frames are empty .0.; nothing need be done: they are skipped",
       "points: a frame spans 0.80. m, the object only 0.4 m; check the sizes, and that robot an"]),
 ]  # fmt: skip

@@ -12,9 +12,7 @@ from gendom.perception.cloud import fuse
 from gendom.perception.colour import ObjectColour, lab
 from gendom.reality import sensor
 
-
-def settings(box=(-0.4, -0.4, -0.1, 0.4, 0.4, 0.5), **other):
-    return PerceptionSettings(workspace=box, **other)
+SETTINGS = PerceptionSettings(workspace=(-0.4, -0.4, -0.1, 0.4, 0.4, 0.5))
 
 
 def test_a_rope_no_broader_than_pixels_keeps_what_has_depth(world):
@@ -25,7 +23,7 @@ def test_a_rope_no_broader_than_pixels_keeps_what_has_depth(world):
     red, kept = ObjectColour.near(lab(world.RED)), []
     seen = np.where(rng.random(pictures.depth.shape) < 0.6, 0, pictures.depth).astype(np.uint16)
     for breadth in (np.inf, 0.002):
-        points, counts = CameraView(camera, settings(), breadth).segment(
+        points, counts = CameraView(camera, SETTINGS, breadth).segment(
             Pictures(seen, pictures.colour), red
         )
         assert (rope.distance(points) < 0.01).all()
@@ -43,7 +41,7 @@ def test_scattered_points_are_outliers(world):
     # empty clouds stay empty
     camera = world.make_camera(scale=0.25)
     blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
-    found = perceive_frame([CameraView(camera, settings())], [blind])
+    found = perceive_frame([CameraView(camera, SETTINGS)], [blind])
     assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
 
 
@@ -79,9 +77,6 @@ def test_bad_settings(wrong, said):
 
 
 # ---- clouds of known geometry
-
-
-SETTINGS = settings((-0.3, -0.3, -0.1, 0.4, 0.3, 0.5))
 
 
 HELIX = np.stack([f(5.0 * np.linspace(0.0, 1.0, 40)) for f in (np.cos, np.sin, np.copy)], axis=1)
