@@ -293,6 +293,7 @@ def refused_pcd():
         (of_pcd(SCALE="1"), "has the header line 'SCALE 1', which is not understood"),
         *((of_bytes(bad, 3), DAMAGED) for bad in
           (b"\x01a", b"\0", b"\0a\x20\1", b"\0a\xe0", b"\0a\xe0\0", b"\0a\x20")),
+        (of_bytes(bytes((1 << 23) + 1), 3), "has 8388609 bytes that unpack to 3, too many: use DA"),
         # bounds are exact
         (of_pcd(WIDTH=many, POINTS=many), "is cut short: "),
         (of_pcd(WIDTH=many + 1, POINTS=many + 1), f"announces {many + 1} points, at most"),

@@ -7,10 +7,21 @@ import pytest
 
 from gendom.errors import RecordingError
 from gendom.perception import perceive, read_cameras
-from gendom.perception.robot import FINGER_MARGIN
+from gendom.perception.robot import FINGER_MARGIN, Capsules
 from gendom.robot import XARM7, arm_shape, follow, lift, pointing, tcp_pose
 
 DIAMETER = 0.01
+
+
+def test_points_within_a_margin_of_capsules():
+    """Of a length and of none, whose margin is at most 2 mm."""
+    p = np.random.default_rng(0).uniform(-0.3, 0.3, (3000, 3))
+    start, end = np.array([[0, 0, 0], [0.1, 0, 0]]), np.array([[0, 0, 0.2], [0.1, 0, 0]])
+    capsules = Capsules(start, end, np.array([0.05, 0.08]), np.array([np.inf, 0.002]))
+    along = np.clip(p[:, 2:], 0.0, 0.2) * [0, 0, 1]
+    off = [np.linalg.norm(p - nearest, axis=1) for nearest in (along, start[1])]
+    expected = (off[0] <= 0.06) | (off[1] <= 0.082)
+    np.testing.assert_array_equal(capsules.contain(p, 0.01), expected)
 
 
 @pytest.fixture(scope="module")
