@@ -13,11 +13,9 @@ from gendom.perception.quality import seen_share
 ROPE = ObjectDescription(kind="rope", length=0.4, diameter=0.01)
 
 
-def test_shares_that_are_seen():
-    """Of a rope's length, and of a cloth in any direction."""
+def test_share_of_a_cloth_that_is_seen():
+    """Lying in any direction."""
     rng = np.random.default_rng(0)
-    p = np.linspace([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], 400) + rng.normal(0.0, 2e-3, (400, 3))
-    assert seen_share(p, ROPE) == pytest.approx(0.25, abs=0.1)
     u, v = np.meshgrid(np.linspace(0, 0.12, 90), np.linspace(0, 0.3, 150))
     p = np.stack([u, v, 0 * u], axis=-1).reshape(-1, 3)
     cloth = ObjectDescription(kind="cloth", width=0.3, height=0.3)

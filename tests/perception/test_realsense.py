@@ -44,9 +44,6 @@ def pictures(camera, number, coloured=True):
     return Pictures(depth, colour)
 
 
-# What other versions of the SDK wrote.
-
-
 @pytest.mark.parametrize("name", ["sdk-2.59.db3", "sdk-2.58.db3.xz", "sdk-2.55.bag.xz"])
 def test_recordings_of_the_sdk(name, copy, request):
     """Older ones once they are converted as the message says."""
@@ -112,9 +109,6 @@ def test_raw_formats(encoding, data, pixels):
         raw_picture(row, "YUYV", 2, 3, 8, "<", "here")
 
 
-# What is written here.
-
-
 @pytest.mark.parametrize("coloured", [True, False])
 def test_round_trip_is_exact(world, sdk, tmp_path, coloured):
     camera = world.make_camera(scale=0.1, distortion=(0.05, -0.06, 1e-4, -2e-4, 0.02))
@@ -132,9 +126,6 @@ def test_round_trip_is_exact(world, sdk, tmp_path, coloured):
         seen, wrote = frame.read(), pictures(camera, t, coloured)
         np.testing.assert_array_equal(seen.depth, wrote.depth)
         np.testing.assert_array_equal(seen.colour, wrote.colour)
-
-
-# camera.toml beside a recording.
 
 
 def test_camera_toml_gives_pose_and_unit(copy):
@@ -164,9 +155,6 @@ def test_folders_with_several_recordings(world, copy, tmp_path):
     shutil.copy(path, lift / "cameras" / "left" / "b.db3")
     with pytest.raises(RecordingError, match=r"holds 2 recordings, a\.db3, b\.db3"):
         read_cameras(lift)
-
-
-# Damaged files. The recording at hand has 4 frames and pages of 4096 bytes.
 
 
 def test_damage_is_told_and_never_passes_as_depth(world, sdk, tmp_path):
@@ -266,9 +254,6 @@ def test_time_stamps_that_are_odd_are_told(copy):
         changed(path := copy(), change)
         source = RealSenseRecording(path, on_warning=faults.append)
         assert len(list(source)) == frames and said in str(faults[0])
-
-
-# Alignment of colour.
 
 
 def beside(world, shift=0.015, turn=0.01, **other):

@@ -22,12 +22,6 @@ COTTON = ["cotton-rope", "--length", "0.3"]
 CLOTH = ["denim", "--side", "0.2"]
 
 
-def stiffness_and_mass():
-    """E I [N m^2] and mass [kg] of the cotton rope."""
-    m, d = catalogue.get("cotton-rope").material(), catalogue.get("cotton-rope").across.typical
-    return m.E * np.pi * d**4 / 64.0, m.density * np.pi * d**2 / 4.0 * 0.3
-
-
 def written(tmp_path, *words):
     assert cli.main(["twin", *words, "--out", str(tmp_path / "twin")]) == 0
     return tmp_path / "twin"
@@ -107,7 +101,8 @@ def scripted(tmp_path, words, target):
 @pytest.mark.usefixtures("still")
 def test_rods_are_as_heavy_and_as_stiff_as_the_rope(tmp_path):
     """Newton's, and Genesis' chain."""
-    EI, mass = stiffness_and_mass()
+    m, d = catalogue.get("cotton-rope").material(), catalogue.get("cotton-rope").across.typical
+    EI, mass = m.E * np.pi * d**4 / 64.0, m.density * np.pi * d**2 / 4.0 * 0.3
     arrays = scripted(tmp_path / "newton", COTTON, "newton")[1]
     whole = float(arrays["mass"]) * (len(arrays["nodes"]) - 1)
     assert (float(arrays["EI"]), whole) == pytest.approx((EI, mass))
