@@ -13,7 +13,7 @@ import pytest
 
 from gendom import reading
 from gendom.datasets import Recording, read_pcd, read_ply
-from gendom.datasets.npz import read_npz, read_npz_cloud, short
+from gendom.datasets.npz import read_npz, read_npz_cloud
 from gendom.errors import RecordingError
 
 CLOUD = np.array([[0.1, -2.0, 3.5], [1e-7, 0.0, -0.25], [4.0, 5.0, 6.0]])
@@ -119,24 +119,19 @@ def refused_ply():
     lines = ["element vertex x", "property half w", "property list half int v"]
     lines += ["property of uchar int v"]
     return [
-        (b"plx\n", "is not a PLY file (it does not begin with the line 'ply')"),
         (b"plyx", "is not a PLY file (it does not begin with the line 'ply')"),
-        (b"ply\nformat ascii 1.0\n", "has no end_header"),
         (LONGEST.replace(b"cc", b"ccc", 1) + b"end_header\n", "has no end_header"),
         (ply("binary", *XYZ), f"has the format 'binary', not one of {kinds}"),
         (ply("ascii", "element face 2"), "has no element 'vertex'"),
-        (ply("ascii", *XYZ, "property list uchar int v"), "has lists before its vertices or in th"),
         (ply("ascii", "element a 1", FOREIGN[-1], *XYZ), "has lists before its vertices or in the"),
         (ply("ascii", *XYZ, "property float x"), "has 2 fields 'x', not one"),
         (ply("ascii", *XYZ[:3]), "has 0 fields 'z', not one"),
         (ply("ascii", "property float x"), "has the header line 'property float x', which is not"),
         *((ply("ascii", *XYZ, x), f"has the header line '{x}', which is not und") for x in lines),
         (ply("ascii", *XYZ) + b"1 2 3 4 5", "is cut short: 5 numbers where 6 are announced"),
-        (ply("ascii", *XYZ) + b"1 2 3 4 5 a", "has a coordinate that is no number (could not co"),
         (ply("ascii", *XYZ) + b"1 2 3 4 5 1_0", "has a coordinate that is no number (an undersco"),
         (little + bytes(23), f"is cut short: {len(little) + 23} bytes where {len(little) + 24} a"),
         # what would take long or much memory
-        (ply("ascii", "element vertex 4194305", *XYZ[1:]), "announces 4194305 points, at most 419"),
         (ply("ascii", "element vertex 1048577", *XYZ[1:]), "is text of 0 bytes and 3145731 "
          "numbers, at most 33554432 and 3145728 are read: have it binary"),
         (ply("ascii", *XYZ) + b"1 2 3" + b" " * ((1 << 25) - 4), "is text of 33554433 bytes and 6"),
@@ -286,15 +281,11 @@ def refused_pcd():
         (good[:-1], f"is cut short: {len(good) - 1} bytes where {len(good)} are announced"),
         (packed + struct.pack("<II", 9, needed + 1), f"unpacks to {needed + 1} bytes where"),
         (vast + struct.pack("<II", 9, size & 0xFFFFFFFF) + bytes(9), "unpacks to "),
-        (of_pcd(FIELDS="rgb x normal y w"), "has 0 fields 'z', not one"),
-        (of_pcd(FIELDS="rgb x normal x z"), "has 2 fields 'x', not one"),
         (of_pcd(SIZE="4 8 4 8"), "has 5 fields, but not as many of SIZE, TYPE and COUNT"),
         (of_pcd(SIZE="4 2 4 8 4"), "has a field of TYPE F and SIZE 2, which there is not"),
-        (of_pcd(TYPE="U C F F F"), "has a field of TYPE C and SIZE 8, which there is not"),
         (of_pcd(COUNT="1 1 0 1 1"), "has fields of 0 numbers a point"),
         (of_pcd(COUNT="1 2 3 1 1"), "has more than one number in x, y or z of a point"),
         (of_pcd(WIDTH="2"), "has POINTS 3, but WIDTH 2 and HEIGHT 1"),
-        (of_pcd(HEIGHT="2"), "has POINTS 3, but WIDTH 3 and HEIGHT 2"),
         (of_pcd(POINTS=None, WIDTH=None), "does not say how many points it has"),
         (of_pcd(WIDTH="many"), "has WIDTH 'many', which is no whole number"),
         (of_pcd(POINTS="1" * 19, WIDTH=None), f"has POINTS '{'1' * 19}', which is no whole number"),
@@ -302,6 +293,7 @@ def refused_pcd():
         (of_pcd(SCALE="1"), "has the header line 'SCALE 1', which is not understood"),
         *((of_bytes(bad, 3), DAMAGED) for bad in
           (b"\x01a", b"\0", b"\0a\x20\1", b"\0a\xe0", b"\0a\xe0\0", b"\0a\x20")),
+        (of_bytes(bytes((1 << 23) + 1), 3), "has 8388609 bytes that unpack to 3, too many: use DA"),
         # bounds are exact
         (of_pcd(WIDTH=many, POINTS=many), "is cut short: "),
         (of_pcd(WIDTH=many + 1, POINTS=many + 1), f"announces {many + 1} points, at most"),
@@ -313,7 +305,7 @@ def refused_pcd():
 # ---- NumPy's files -------------------------------------------------------------------------------
 
 
-NOTHING, OTHER = np.zeros((2, 3)), np.zeros((1, 3))
+OTHER = np.zeros((1, 3))
 
 
 def saved(path, **arrays):
@@ -324,9 +316,8 @@ def saved(path, **arrays):
 @pytest.mark.parametrize(
     ("arrays", "expected"),
     [
-        ({"points": CLOUD, "colour": NOTHING}, CLOUD),
-        ({"xyz": NOTHING, "points": CLOUD}, CLOUD),
-        ({"colour": NOTHING, "xyz": CLOUD.astype(np.float32)}, CLOUD.astype(np.float32)),
+        ({"xyz": OTHER, "points": CLOUD}, CLOUD),
+        ({"colour": OTHER, "xyz": CLOUD.astype(np.float32)}, CLOUD.astype(np.float32)),
         ({"anything": np.arange(6, dtype=np.int16).reshape(2, 3)}, np.arange(6.0).reshape(2, 3)),
         ({"points": np.array([*CLOUD, [np.nan] * 3])}, CLOUD),
         ({"points": np.zeros((0, 3))}, np.zeros((0, 3))),
@@ -361,7 +352,6 @@ def zipped(members):
 def refused_npz():
     return [
         (b"PQ", "is no .npz file; write it with numpy.savez"),
-        (b"QK", "is no .npz file"),
         (b"PK", "is damaged ("),
         (archive(a=OTHER, b=OTHER), "has the arrays a, b; call the cloud 'points'"),
         (archive(), "has the arrays "),
@@ -407,7 +397,6 @@ def test_bounds(tmp_path):
     for size, said in ((1 << 23, "meta.format: is None"), ((1 << 23) + 1, "or no JSON text")):
         with pytest.raises(RecordingError, match=said):
             read_npz(saved(path, meta=np.array("{}".ljust(size))))
-    assert short(ValueError("a" * 130 + "\nb")) == "a" * 120 and short(KeyError()) == "KeyError"
 
 
 # ---- shapes at rest ------------------------------------------------------------------------------

@@ -53,9 +53,6 @@ def whole(tmp_path):
     return tmp_path / "whole"
 
 
-# ---- content -------------------------------------------------------------------------------------
-
-
 def test_columns_and_description(whole, tmp_path):
     schema = load(whole).schema
     assert {name: str(schema.field(name).type) for name in schema.names} == {
@@ -80,9 +77,6 @@ def test_columns_and_description(whole, tmp_path):
         assert row["speed"] == speed and row["mass"] == rng.uniform(1.0, 2.0)
         goal, fault = (None, "flew away") if failed else (speed**2 / 9.81, None)
         assert (row["goal_x"], row["fault"], row["ok"]) == (goal, fault, not failed)
-
-
-# ---- resuming and extending ----------------------------------------------------------------------
 
 
 def test_an_interrupted_set_keeps_whole_shards_and_goes_on(tmp_path, whole):
@@ -125,9 +119,6 @@ def test_another_size_extends_or_ends_a_set(tmp_path, cut, size):
     again, larger = Throwing(), max(size, there) + 3
     assert make(folder, larger, task=again).equals(make(tmp_path / "longer", larger))
     assert again.count == 3
-
-
-# ---- what is refused -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -217,7 +208,6 @@ def described(**changes):
     "text, says",
     [
         ("{", "is not JSON"),
-        (described(format="gendom-recording/1"), "has the format 'gendom-recording/1'"),
         (described(format="gendom-demonstrations/1"), "has the format 'gendom-demonstrations/1'"),
         (described().replace("task", "tusk"), "field task"),
         (described(size=10**13), "has 2500000000000 shards"),
@@ -253,9 +243,6 @@ def test_one_writer_at_a_time(tmp_path, whole):
 
     assert make(tmp_path / "set", task=Busy()).equals(load(whole))
     make(tmp_path / "set", 12)  # free again
-
-
-# ---- several devices -----------------------------------------------------------------------------
 
 
 class Meeting(Throwing):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from datasets.test_clouds import archive
-from gendom.datasets import ObjectDescription, Recording
+from gendom.datasets import Recording
 from gendom.datasets.recording_form import ARRAYS
 from gendom.errors import RecordingError
 
@@ -69,10 +69,6 @@ def test_the_file_keeps_everything_in_the_documented_types(lift, tmp_path):
     sizes = {"length": 0.4, "diameter": None, "mass": 0.02}
     assert meta["object"] == {"kind": "rope", **sizes, "grasp": "end", "colour": "red"}
     assert equal(lift, Recording.read(tmp_path / "good.npz"))
-    # sizes that are not known may be null
-    cloth = {"kind": "cloth", "width": 0.3, "height": 0.3, "thickness": None}
-    expected = ObjectDescription(kind="cloth", width=0.3, height=0.3, grasp="corner")
-    assert Recording.read(changed(lift, tmp_path, object=cloth)).object == expected
     # a file keeps which cameras saw a point, and when the gripper was closed: always by default
     assert lift.gripper_closed is None and lift.holds.shape == (5, 1) and lift.holds.all()
     closed = np.array([[True], [True], [True], [False], [False]])
@@ -184,27 +180,20 @@ MM, CM = "it looks like millimetres; divide by 1000", "it looks like centimetres
 EITHER = "it looks like centimetres or millimetres; divide by 100 or 1000"
 FAULTS = [
     ({"points": ...}, "points: is missing; add it: float32 [S, 3]"),
-    ({"time": ...}, "time: is missing; add it: float64 [T]"),
     ({"points": lambda a: a[:, :2]}, "points: has shape [110, 2]; give float32 [S, 3]"),
-    ({"gripper_position": lambda a: a[:, 0]}, "gripper_position: has shape [5, 3]"),
     ({"points": lambda a: a.astype("U")}, "points: has the type <U32; give float32 [S, 3]"),
-    ({"offsets": lambda a: a.astype(float)}, "offsets: has the type float64; give int64 [T + 1]"),
     ({"offsets": lambda a: np.maximum(a, 1)}, "offsets: runs from 1 to 110, but there are"),
     ({"offsets": lambda a: a[:-1]}, "offsets: has shape [5]; give [T + 1], which is [6] here"),
-    ({"points": lambda a: np.concatenate([a, a])}, "offsets: runs from 0 to 110, but there are"),
     ({"offsets": lambda _: np.array([0, 50, 41, 63, 86, 110])},
      "offsets, frame 1: falls from 50 to 41; let it never decrease"),
     ({"gripper_axis": lambda a: a[:3]}, "gripper_axis: has shape [3, 1, 3]; give [T, G, 3],"),
     (NO_GRIPPER, "gripper_position: has no gripper; give at least one"),
-    ({"gripper_axis": np.zeros((5, 2, 3))}, "gripper_axis: has shape [5, 2, 3]; give"),
     ({"gripper_closed": np.ones((5, 2), bool)}, "gripper_closed: has shape [5, 2]"),
-    ({"gripper_closed": np.ones((5, 1))}, "gripper_closed: has the type float64"),
     ({"gripper_closed": np.zeros((5, 1), bool)}, "gripper_closed, gripper 0: is never closed"),
     ({"points": nan_at(slice(42, 44), 1)}, "points, frame 2: 2 of 22 points are not finite"),
     ({"gripper_position": nan_at(3, 0, 2)}, "gripper_position, frame 3: is not finite in 1 of"),
     ({"time": lambda a: (1.7e9 + a).astype(np.float32)}, "time, frame 1: goes from 1700000000 s "
      "to 1700000000 s; they look like float32, which tells times since 1970 to 2 minutes only"),
-    ({"time": nan_at(4)}, "time, frame 4: is not finite in 1 of 5 frames"),
     ({"gripper_axis": lambda a: 0.5 * a}, "gripper_axis, frame 0: has length 0.5, not 1"),
     ({"time": lambda a: a[[0, 1, 1, 3, 4]]}, f"time, frame 2: goes from 0.1 s to 0.1 s; {ORDER}"),
     ({"gripper_position": lambda a: a + np.eye(3)[0]}, "gripper_position, gripper 0: never"),
@@ -226,7 +215,6 @@ FAULTS = [
     ({"ordered_markers": True}, "points, frame 1: has 21 ordered markers, the first frame 20"),
     # what is said beside them
     ({"format": "gendom-recording/9"}, "meta.format: is 'gendom-recording/9'; only 'gendom-reco"),
-    ({"format": ...}, "meta.format: is None; only 'gendom-recording/1' can be read here"),
     ({"object": ...}, "object: object missing required field kind; give kind, sizes"),
     ({"table_height": ...}, "meta.table_height: is missing"),
     ({"quasi_static": ...}, "meta.quasi_static: is missing; give true or false"),
@@ -240,9 +228,7 @@ FAULTS = [
     ({"object__grasp_radius": 0.0}, "object.grasp_radius: is 0.0"),
     ({"object__mass": "20 g"}, "object.mass: expected float | null, got str; give kind"),
     ({"object__length": 400.0}, f"object.length: the object spans 400 m, a frame 0.401 m; {MM}"),
-    ({"object__length": 40.0}, f"object.length: the object spans 40 m, a frame 0.401 m; {CM}"),
     ({"object__length": 4e-4}, "points: a frame spans 0.401 m, the object 0.0004 m"),
-    ({"object__diameter": 10.0}, f"object.diameter: is 10 m, the object spans 0.4 m; {MM}"),
     ({"object__diameter": 1.0}, f"object.diameter: is 1 m, the object spans 0.4 m; {EITHER}"),
     ({"object__mass": 31.0, "object__diameter": 0.01}, "object.mass: is 31 kg, a density of "
      "9.9e+05 kg/m^3; it looks like grams; divide by 1000"),
@@ -291,7 +277,7 @@ WARNED = [
     (AWAY | closed(1, 1, 1, 1, 0), []),
     (closed(0, 0, 1, 1, 0), ["gripper_closed, gripper 0: is open until frame 2; "]),
     ({"gripper_position": lambda a: a[[0] * 5]}, ["gripper_position: moves by 0 m in all; record"]),
-    ({"points": lambda a: a * np.float32([2, 1, 1]), "offsets": lambda a: a * (a > 20)},
+    ({"points": lambda a: a * np.array([2, 1, 1], np.float32), "offsets": lambda a: a * (a > 20)},
      ["points: 1 of 5 frames are empty .0.; nothing need be done: they are skipped",
       "points: a frame spans 0.80. m, the object only 0.4 m; check the sizes, and that robot an"]),
 ]  # fmt: skip
@@ -353,14 +339,12 @@ def test_files_that_are_no_recordings(lift, tmp_path):
     no_text = "meta: is missing, or no JSON text; gendom.Recording.from_frames(...).write makes"
     for data, said in (
         (whole[: len(whole) // 2], "is damaged ("),
-        (whole[:200] + bytes(50) + whole[250:], "is damaged ("),
         (b"", "is no .npz file; write gendom-recording/1 with numpy.savez"),
         (archive(points=np.zeros((1, 3))), no_text),
         (archive(meta=np.array(["{}", "{}"])), no_text),
         (archive(meta=np.array(3)), no_text),
         (archive(meta=np.array("{")), "meta: is not JSON"),
         (archive(meta=np.array("[]")), "meta: holds a JSON list, not an object"),
-        (archive(meta=np.array({}, dtype=object)), "holds Python objects (pickles), which are nev"),
     ):
         path.write_bytes(data)
         assert refusal(path)[0].startswith(said)

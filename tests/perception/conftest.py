@@ -165,18 +165,17 @@ def depth_rms(camera, z, sensor=NOISE):
     return z**2 * s / (camera.K[0, 0] * BASELINE)
 
 
-def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005):
+def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005, colour=RED):
     """A rope that hangs from its tip on an arc down to the table and lies on it along x."""
     bend = 0.08
     down = tip[2] - bend - radius
-    angle = np.linspace(0, np.pi / 2, 15)[1:]
-    arc = np.stack(
-        [bend - bend * np.cos(angle), 0 * angle, bend + radius - bend * np.sin(angle)], 1
-    )
+    angle = np.linspace(0, np.pi / 2, 15)
+    x, z = bend - bend * np.cos(angle), bend + radius - bend * np.sin(angle)
+    arc = np.stack([x, 0 * angle, z], axis=1)
     rest = max(length - down - bend * np.pi / 2, 0.01)
-    line = np.concatenate([[[0, 0, bend + radius + down]], [[0, 0, bend + radius]], arc])
-    line = np.concatenate([line, [[bend + rest, 0, radius]]])
-    return Rope(line + np.array([tip[0], tip[1], 0.0]), radius)
+    ends = [0, 0, bend + radius + down], [bend + rest, 0, radius]
+    line = np.concatenate([ends[:1], arc, ends[1:]])
+    return Rope(line + np.array([tip[0], tip[1], 0.0]), radius, colour)
 
 
 def pair(scale=0.5):
@@ -194,8 +193,6 @@ def write_lift(
     scale=0.5,
     sensor=NOISE,
     cameras=None,
-    stored=None,
-    time=lambda k, t: t / 30.0,
     things=lambda t: [],
     rope=True,
 ):
@@ -203,18 +200,16 @@ def write_lift(
 
     Args:
         cameras: Those that see it.
-        stored: Cameras that camera.toml describes, where they differ.
-        time: Function (camera number, frame) -> time stamp [s].
         things: More in the scene, function (frame) -> list.
         rope: False leaves the rope out.
     """
     cameras = cameras or pair(scale)
     ropes = [lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t)) for t in range(frames)]
     for k, camera in enumerate(cameras):
-        writer = PngWriter(folder / "cameras" / camera.name, (stored or cameras)[k])
+        writer = PngWriter(folder / "cameras" / camera.name, camera)
         for t, held in enumerate(ropes):
             scene = Scene([Plane(), *things(t), *([held] if rope else [])])
-            writer.write(time(k, t), scene.pictures(camera, sensor=sensor, seed=100 * k + t))
+            writer.write(t / 30.0, scene.pictures(camera, sensor=sensor, seed=100 * k + t))
     rows = [f"{t / 30.0!r},0.0,0.0,{0.2 + 0.01 * t!r}" for t in range(frames)]
     (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
     (folder / "object.toml").write_text(

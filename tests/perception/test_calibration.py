@@ -147,13 +147,6 @@ def test_stated_errors_hold_and_are_no_excuse(world):
     assert (true <= stated).all(axis=1).mean() >= 0.9
     assert (np.median(stated, axis=0) < 8.0 * np.median(true, axis=0)).all()
     assert np.mean([f.rms for f in found]) == pytest.approx(0.3 * np.sqrt(2), rel=0.1)
-    # a focal length that is hardly wrong is in the stated errors
-    camera = world.make_camera()
-    views, _ = exact_views(camera, good_tilts(), 0.1)
-    K = camera.K * [[1.004], [1.004], [1.0]]
-    found = calibrate(replace(camera, K=K), views)
-    true = error_of(found.T_world_camera, camera)[0]
-    assert true > 2e-3 and 0.8 * true < found.error_position < 0.015
 
 
 def moved(view, T):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gendom.datasets import Recording
+from gendom.arrays import rigid
 from gendom.errors import RecordingError
 from gendom.perception import CameraRecording, FrameSource, PerceptionSettings, RobotPath, perceive
 
@@ -36,7 +36,7 @@ def live(world):
     return recorded
 
 
-def test_any_source_of_frames_will_do(live, tmp_path):
+def test_any_source_of_frames_will_do(live):
     """Frames outside of the robot's path are not decoded."""
     recorded, warnings = live(4, times=(1 / 30, 1.0)), []
     assert all(isinstance(source, FrameSource) for source in recorded.sources)
@@ -44,11 +44,7 @@ def test_any_source_of_frames_will_do(live, tmp_path):
     assert recorded.sources[0].decoded == 3 and "1 of 4 frames are outside" in str(warnings[0])
     assert found.counts[:, -1].tolist() == np.diff(found.recording.offsets).tolist()
     assert found.recording.gripper_position[0, 0, 2] == pytest.approx(0.2)
-    found.recording.write(tmp_path / "a.npz")
-    again = Recording.read(tmp_path / "a.npz")
-    np.testing.assert_array_equal(again.points, found.recording.points)
-    np.testing.assert_array_equal(again.seen_by, found.recording.seen_by)
-    assert again.extra["perception"]["cameras"] == ["left", "right"]
+    assert found.recording.extra["perception"]["cameras"] == ["left", "right"]
     # table height is measured where it is unknown
     found = perceive(live(1, {"object": ROPE["object"]}), SETTINGS)
     assert found.recording.table_height == pytest.approx(0.0, abs=1e-3)
@@ -82,20 +78,16 @@ def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
         """[2] of a rod to each camera [m], warnings, and how cameras were moved."""
         stated, warnings = [], []
         for sign, camera in zip((1.0, -1.0), world.pair(), strict=True):
-            T = np.eye(4)
             turn = Rotation.from_euler("xy", [sign * degrees, 0.5 * degrees], degrees=True)
-            T[:3, :3], T[2, 3] = turn.as_matrix(), sign * rise
-            stated.append(T @ camera.calibrated())
-        rod = np.array([[-0.2, 0.0, 0.005], [0.2, 0.0, 0.005]])
+            stated.append(rigid(turn.as_matrix(), [0.0, 0.0, sign * rise]) @ camera.calibrated())
+        rod = world.Rope(np.array([[-0.2, 0.0, 0.005], [0.2, 0.0, 0.005]]))
         path = ((-0.2, 0.0, 0.005), (-0.2, 0.0, 0.3))
-        found = live(1, path=path, held=lambda world, t: world.Rope(rod), stated=stated)
+        found = live(1, path=path, held=lambda world, t: rod, stated=stated)
         p = perceive(found, replace(SETTINGS, no_level=not level), on_warning=warnings.append)
         points = [p.recording.points[p.recording.seen_by == 1 << k] for k in (0, 1)]
-        return (
-            np.array([np.median(x[:, 2]) for x in points]),
-            sum("it is moved to where that is right" in str(w) for w in warnings),
-            p.recording.extra["perception"]["levelled"],
-        )
+        said = sum("it is moved to where that is right" in str(w) for w in warnings)
+        moved = p.recording.extra["perception"]["levelled"]
+        return np.array([np.median(x[:, 2]) for x in points]), said, moved
 
     exact, none, _ = heights(0.0, 0.0, level=False)
     level, said, moved = heights(degrees, rise)

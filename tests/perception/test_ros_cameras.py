@@ -53,8 +53,8 @@ def packed(time, frame, picture, form):
     return made("sensor_msgs/CompressedImage", of)
 
 
-def cloud(time, frame, camera, pictures):
-    """As drivers make it: x, y, z and the colour of each pixel."""
+def cloud(time, frame, camera, pictures, organised):
+    """As drivers make it: x, y, z and the colour of each pixel, or of those with depth."""
     z = pictures.depth.reshape(-1, 1) * camera.depth_unit
     points = np.where(z > 0.0, camera.rays() * z, np.nan).astype("<f4")
     r, g, b = pictures.colour.reshape(-1, 3).astype("<u4").T
@@ -63,8 +63,9 @@ def cloud(time, frame, camera, pictures):
         {"name": n, "offset": 4 * k, "datatype": 7, "count": 1}
         for k, n in enumerate(("x", "y", "z", "rgb"))
     ]
-    size = {"height": camera.height, "width": camera.width}
-    size |= {"point_step": 16, "row_step": 16 * camera.width}
+    table = table if organised else table[z[:, 0] > 0.0]
+    width, height = (camera.width, camera.height) if organised else (len(table), 1)
+    size = {"height": height, "width": width, "point_step": 16, "row_step": 16 * width}
     data = np.frombuffer(table.tobytes(), np.uint8)
     of = {"header": header(time, frame), "fields": fields, "data": data, **size}
     return made("sensor_msgs/PointCloud2", of)
@@ -79,8 +80,9 @@ def rows_of(form, *, stated=True):
     for camera in cameras:
         name, frame, other = names_of(camera)
         rows.append(placed(frame, other, rigid(np.eye(3), OFFSET)))
-        rows.append((f"{name}/depth/camera_info", info(camera, frame)))
-        rows.append((f"{name}/color/camera_info", info(camera, other)))
+        if form != "unknown":
+            rows.append((f"{name}/depth/camera_info", info(camera, frame)))
+            rows.append((f"{name}/color/camera_info", info(camera, other)))
     for t in range(FRAMES):
         time, tip = t / 30.0, (0.0, 0.0, 0.2 + 0.01 * t)
         rows.append(("/tf", tf(time, "base", "tool", tip)))
@@ -89,8 +91,9 @@ def rows_of(form, *, stated=True):
         for k, camera in enumerate(cameras):
             name, frame, other = names_of(camera)
             seen = scene.pictures(camera, seed=10 * k + t)
-            if form == "organised":
-                rows.append((f"{name}/points", cloud(time, frame, camera, seen)))
+            if form in ("organised", "unknown"):
+                message = cloud(time, frame, camera, seen, form == "organised")
+                rows.append((f"{name}/points", message))
                 continue
             beside = camera.at(camera.T_world_camera @ rigid(np.eye(3), OFFSET))
             colour = scene.pictures(beside, seed=50 + 10 * k + t).colour
@@ -168,10 +171,11 @@ def perceived(path, *words):
 
 
 @pytest.mark.parametrize(
-    ("form", "plugin"), [("raw", "SQLITE3"), ("packed", "ROS1"), ("organised", "MCAP")]
+    ("form", "plugin"),
+    [("raw", "SQLITE3"), ("packed", "ROS1"), ("organised", "MCAP"), ("unknown", "ROS1")],
 )
 def test_a_lift_before_two_cameras(bag, tmp_path, capsys, form, plugin):
-    """Depth and colour, raw and packed, and organised clouds."""
+    """Depth and colour, raw and packed, and clouds with and without a known camera."""
     rows, ropes, _ = rows_of(form)
     path = bag(rows, plugin)
     (tmp_path / "object.toml").rename(tmp_path / "held.toml")

@@ -17,36 +17,35 @@ META = {"object": {"kind": "rope", "length": 0.4, "diameter": 0.016}, "table_hei
 
 
 def rope_of(world, t, own):
-    rope = world.lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t), radius=0.008)
-    rope.colour = own
-    return rope
+    return world.lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t), radius=0.008, colour=own)
+
+
+HAND = np.array([(0.2, 0.0, 0.03), (0.24, 0.1, 0.06)])
+BESIDE = {
+    "hand": (HAND, (0.025, 0.04), SKIN),
+    "own hand": (HAND, (0.025, 0.04), None),
+    "far hand": (np.add(HAND, [0.0, 0.12, 0.0]), (0.025, 0.04), SKIN),
+    "own cable": ([[-0.1, 0.12, 0.006], [0.1, 0.15, 0.006], [0.3, 0.12, 0.006]], (0.006,), None),
+    "branch": ([[0.1, 0.0, 0.008], [0.13, 0.1, 0.008], [0.15, 0.16, 0.008]], (0.008,), None),
+    "crossing": ([[0.15, -0.25, 0.012], [0.17, 0.0, 0.012], [0.2, 0.25, 0.012]], (0.006,), None),
+    "": (HAND, (), None),
+}
+"""Lines, radii and colours, the rope's own if None, of what is beside the rope, which lies on the
+table along x up to about 0.25 m."""
 
 
 def things(world, name, own):
-    """What is beside the rope, which lies on the table along x up to about 0.25 m."""
     if name == "checks":
         places = np.mgrid[-1:5, -2:3].reshape(2, -1).T * 0.06
         return [world.Sheet((x, y, 1e-4), (0.03, 0, 0), (0, 0.03, 0), own) for x, y in places]
-    if name in ("hand", "own hand", "far hand"):
-        y = 0.12 if name == "far hand" else 0.0
-        line = np.array([(0.2, y, 0.03), (0.24, y + 0.1, 0.06)])
-        return [world.Rope(line, r, own if name == "own hand" else SKIN) for r in (0.025, 0.04)]
-    if name == "own cable":
-        line = np.array([[-0.1, 0.12, 0.006], [0.1, 0.15, 0.006], [0.3, 0.12, 0.006]])
-        return [world.Rope(line, 0.006, own)]
-    if name == "branch":
-        line = np.array([[0.1, 0.0, 0.008], [0.13, 0.1, 0.008], [0.15, 0.16, 0.008]])
-        return [world.Rope(line, 0.008, own)]
-    if name == "crossing":
-        line = np.array([[0.15, -0.25, 0.012], [0.17, 0.0, 0.012], [0.2, 0.25, 0.012]])
-        return [world.Rope(line, 0.006, own)]
-    return []
+    line, radii, colour = BESIDE[name]
+    return [world.Rope(np.array(line), radius, colour or own) for radius in radii]
 
 
 def recorded(world, own=RED, table=GREY, beside="", frames=2):
     def scene(t):
         late = beside == "late branch" and t == 1
-        others = things(world, "branch" if late else beside, own)
+        others = things(world, "branch" if late else beside.removeprefix("late branch"), own)
         return world.Scene([world.Plane(colour=table), rope_of(world, t, own), *others])
 
     robot = RobotPath(np.array([0.0, 1.0]), np.array([[[0.0, 0.0, 0.2]], [[0.0, 0.0, 0.5]]]))
@@ -160,14 +159,13 @@ def test_bad_masks(masked, tmp_path, command, spoil, said):
     """One leaves a frame out with a warning; where all are bad, one line says why."""
     folder, _ = masked
     masks = shutil.copytree(folder / "masks", tmp_path / "masks")
-    spoil(masks / "left" / "000002.png")
-    code, printed, out = command(folder / "lift", "--masks", masks)
-    assert code == 0 and said in printed.out
-    assert Recording.read(out).num_frames == 2
-    for path in masks.rglob("00000[0-9].png"):
-        spoil(path)
-    code, printed, _ = command(folder / "lift", "--masks", masks)
-    assert code == 2 and said in printed.err and len(printed.err.splitlines()) == 1
+    for places, codes in (([masks / "left" / "000002.png"], 0), (masks.rglob("*.png"), 2)):
+        for path in places:
+            spoil(path)
+        code, printed, out = command(folder / "lift", "--masks", masks)
+        assert code == codes and said in (printed.err or printed.out)
+        assert len(printed.err.splitlines()) == code / 2
+        assert Recording.read(out).num_frames == 2
 
 
 @pytest.mark.slow

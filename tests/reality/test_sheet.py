@@ -66,18 +66,6 @@ def test_a_sheet_twists_and_bulges_with_one_poisson_s_ratio(hinges):
     assert bent(hinges, 1.0, 1.0, 0.0) == pytest.approx((1 + SHEET_NU) * RIGIDITY, rel=1e-3)
 
 
-def test_mujoco_applies_these_forces(hinges):
-    model = hinges[0]
-    mujoco = load_mujoco()
-    data = mujoco.MjData(model)
-    w = 1e-7 * np.random.default_rng(0).normal(size=len(CLOTH.sheet[0]))
-    data.qpos.reshape(-1, 3)[:, 2] = w
-    mujoco.mj_forward(model, data)
-    force = data.qfrc_spring.reshape(-1, 3)[:, 2]
-    expected = -stiffness(hinges) @ w
-    assert np.abs(force - expected).max() < 1e-3 * np.abs(expected).max()
-
-
 TIMES = np.array([0.1, 0.2, 0.3, 0.4, 0.6, 0.9, 1.2])
 RADIUS, HEIGHT = 0.1, 0.25
 

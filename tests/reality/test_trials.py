@@ -123,38 +123,30 @@ def test_what_is_done_by_default_touches_nothing(trial):
     assert CollisionChecker(XARM7, surroundings(cameras), opening=thick).along(motion) is None
 
 
-@pytest.fixture(scope="module")
-def stretched():
-    """A release by the free hand and by the arm: the run, what was seen, what is reached."""
+def test_reaching_by_arm_and_by_free_hand():
     both, trial = [], replace(task_trial(REACHING, POLYESTER, STRETCHED), timestep=1e-3)
     for robot in (False, True):
         run = TrialRun(trial, robot=robot)
         seen = observe(REACHING, run)
         both.append((run, seen, REACHING.outcome(POLYESTER, seen)))
-    return both
-
-
-def test_reaching_by_arm_and_by_free_hand(stretched):
-    (_, _, free), (run, _, arm) = stretched
+    (_, _, free), (run, _, arm) = both
     assert run.motion is not None and run.motion.slowed_by == 1.0
     run.motion.check_limits(XARM7)
     assert arm["x"] == pytest.approx(free["x"], abs=0.003)
     assert arm["sideways"] < 0.015
     L = POLYESTER.length
     wait = 3.0 * np.sqrt(L / 9.81)
-    for run, seen, values in stretched:
+    for run, seen, values in both:
         # the release keeps its time, here and on the task's clock, 0 when the hand begins to move
         moves = run.closes + wait
         assert run.opens == pytest.approx(moves + 0.57 * PAPER_CLOCK, abs=1e-9)
         assert run.end == pytest.approx(moves + 1.14 * PAPER_CLOCK, abs=1e-9)
         assert seen.times[0] == pytest.approx(-wait, abs=1e-9)
-        assert seen.times[-1] == pytest.approx(1.14 * PAPER_CLOCK, abs=0.01)
         assert seen.opens == pytest.approx(0.57 * PAPER_CLOCK, abs=1e-9)
         # the goal is measured in the task frame
         assert seen.points[0, 0] == pytest.approx([L, 0.0, 1.1 * L], abs=1e-3)
-        assert seen.tip[0] == pytest.approx([L, 0.0, 0.1 * L], abs=2e-3)
-        assert seen.hand[0] == pytest.approx([L, 0.0, 0.1 * L], abs=1e-3)
-        assert np.linalg.norm(seen.points[:, 0] - seen.points[0, 0], axis=1).max() < 1e-3
+        for low in (seen.tip[0], seen.hand[0]):
+            assert low == pytest.approx([L, 0.0, 0.1 * L], abs=2e-3)
         world = run.world
         for there, here in ((world.vertices(), seen.points[-1]), (world.hand, seen.hand[-1])):
             x, y, z = np.moveaxis(here, -1, 0)
@@ -163,15 +155,13 @@ def test_reaching_by_arm_and_by_free_hand(stretched):
         after = seen.times >= seen.opens
         x, y, _ = seen.tip[after].T
         assert (values["x"], values["sideways"]) == (x.max(), np.abs(y).max())
-        # Until the release the tip is where it was sent; then the rope's bend carries it off.
-        held = seen.tip[~after][-1]
-        assert held == pytest.approx([STRETCHED[0], 0.0, STRETCHED[1]], abs=1e-3)
-        assert L < values["x"] < 2.0 * L
+        # until the release the tip is where it was sent
+        assert seen.tip[~after][-1] == pytest.approx([STRETCHED[0], 0.0, STRETCHED[1]], abs=1e-3)
 
 
 def test_casting_by_free_hand_by_arm_and_in_our_simulator():
     L, way = POLYESTER.length, 0.25
-    (free, seen), (arm, _), (ours, our_seen) = (
+    (free, seen), (arm, _), (ours, _) = (
         carried_out(world, CASTING, POLYESTER, [way])
         for world in (
             RealWorld(robot=False, timestep=5e-4),
@@ -193,10 +183,6 @@ def test_casting_by_free_hand_by_arm_and_in_our_simulator():
     for other in (arm, ours):
         assert (other["x"], other["z"]) == pytest.approx((free["x"], free["z"]), abs=0.003)
         assert 0.0 < abs(other["x"] - free["x"])
-    t = seen.times
-    hand = np.stack([np.interp(t, our_seen.times, our_seen.hand[:, k]) for k in range(3)], axis=1)
-    moving = (t > 0.0) & (t < 0.5)
-    np.testing.assert_allclose(hand[moving], seen.hand[moving], atol=1e-3)
 
 
 def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():

@@ -10,7 +10,6 @@ import pytest
 from gendom.errors import SimulationError
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import OBJECTS, Layout, RealCloth, Reality, RealObject, RealRope
-from gendom.reality.model import load_mujoco
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
@@ -19,43 +18,22 @@ def lying(item: RealObject = COTTON) -> Layout:
     return Layout(origin=(0.35, 0.0, item.radius))
 
 
-@pytest.mark.parametrize("name", ["rope-cotton", "cloth-cotton-200mm", "cloth-rubber-200mm"])
-def test_objects_rest_on_the_table(name):
-    item = OBJECTS[name]
-    world = Reality(item, lying(item))
-    before = world.vertices()
-    world.step_to(0.2)
-    # Contact gives way by some hundredths of a millimetre, by far less under a rope.
-    assert np.abs(world.vertices() - before).max() < (2e-6 if isinstance(item, RealRope) else 2e-5)
-    assert world.speed() < 5e-3
-
-
 def masses(item):
-    """[V] what MuJoCo moves [kg]: a vertex is a body with three slides along the world's axes."""
+    """[V] what MuJoCo moves [kg]."""
     world = Reality(item, lying(item))
-    model = world.model
-    x, bodies = world.vertices(), model.flex_vertbodyid
-    # What it steps with, too, not only what it states.
-    inertia = np.zeros((model.nv, model.nv))
-    load_mujoco().mj_fullM(model, world.data, inertia)
-    dofs = model.body_dofadr[bodies][:, None] + np.arange(3)
-    m = model.body_mass[bodies]
-    np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-9 * m.max())
-    np.testing.assert_allclose(np.diag(inertia)[dofs], m[:, None] * np.ones(3), rtol=1e-12)
-    np.testing.assert_allclose(model.body_invweight0[bodies, 0], 1.0 / m, rtol=1e-9)
+    model, bodies = world.model, world.model.flex_vertbodyid
     assert model.body_subtreemass[0] == pytest.approx(item.mass)
-    return x, m
+    return model.body_mass[bodies]
 
 
 def test_vertices_weigh_what_they_stand_for():
     """Inner ones an edge, ends half of one."""
-    x, m = masses(COTTON)
+    m = masses(COTTON)
     edge = COTTON.mass / (COTTON.vertices - 1)
     assert m[1:-1] == pytest.approx(edge) and m[[0, -1]] == pytest.approx(edge / 2.0)
-    assert m @ x / m.sum() == pytest.approx([0.35 + COTTON.length / 2.0, 0.0, x[0, 2]])
     # a third of each triangle's mass sits in each of its vertices
     cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=13)
-    m = masses(cloth)[1]
+    m = masses(cloth)
     points, triangles = cloth.sheet
     a, b, c = points[triangles.T]
     third = np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1))) / 6.0
