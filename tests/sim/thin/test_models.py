@@ -94,17 +94,3 @@ def test_twice_the_mass_is_twice_the_density(body):
     ]
     assert np.abs(x[0] - x[1]).max() < 2e-4
     assert np.abs(x[2] - x[1]).max() > 5e-4
-
-
-def test_a_rod_takes_on_its_share_of_the_curvature():
-    """In free space an arc of 1 rad straightens to half of that, and wholly."""
-    turn = np.linspace(0.0, 1.0, 60)
-    arc = 0.2 * np.stack([np.sin(turn), 1.0 - np.cos(turn), 0.0 * turn], axis=1)
-    simulator = flat_simulator(
-        rope(diameter=0.01, centre_line=arc, points=13), [replace(DENSE, damping=0.02)] * 3,
-        natural_curvature=[1.0, 0.5, 0.0], gravity=(0.0, 0.0, 0.0), velocity_damping=2.0,
-    )  # fmt: skip
-    ahead = np.diff(simulator.run([1.5])[0], axis=1)
-    ends = ahead[:, [0, -1]] / np.linalg.norm(ahead[:, [0, -1]], axis=2, keepdims=True)
-    turned = np.arccos(np.clip((ends[:, 0] * ends[:, 1]).sum(axis=1), -1.0, 1.0))
-    assert turned / turned[0] == pytest.approx([1.0, 0.5, 0.0], abs=0.05)
