@@ -93,11 +93,8 @@ def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(n, device):
         Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
         for at, to in zip(corners, apart, strict=True)
     ]
-    s, times = (
-        simulated(body, hands, positions=heap[-1], device=device),
-        np.linspace(0.02, 2.2, 110),
-    )
-    x = s.run(times)[:, 0]
+    s = simulated(body, hands, positions=heap[-1], device=device)
+    x = s.run(np.linspace(0.02, 2.2, 110))[:, 0]
     for f in (*heap, *x):
         check_cloth(f, model)
     # 0.65 to 0.90, as it is rounded; a smaller one unfolds
