@@ -166,7 +166,6 @@ def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):
         ({"starts": 0}, "starts must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"max_iterations": 1}, "max_iterations must be at least 2, got 1"),
-        ({"level": 1.0}, "level must lie between 0 and 1, got 1.0"),
         ({"level": 0.0}, "level must lie between 0 and 1, got 0.0"),
         ({"frames": "first"}, "unknown frames 'first'; choose one of all, last"),
         ({"camera_pose": "guessed"}, "unknown camera_pose 'guessed'; choose one of stated, unkn"),

@@ -191,9 +191,6 @@ def test_what_is_not_explained_is_that_of_the_best_recording():
     assert intervals.discrepancy(far, found(0.005), KNOWN, none)[0] == pytest.approx(0.04, rel=1e-3)
 
 
-CALIBRATED = IntervalCalibration()
-
-
 @pytest.mark.parametrize(
     ("changes", "more", "extra"),
     [
@@ -221,7 +218,7 @@ def test_a_posterior_is_as_wide_as_all_that_is_not_known(monkeypatch, changes, m
     monkeypatch.setattr(intervals, "displaced", lambda part, noise: astray)
     one = found(0.005, **changes)
     own = np.array([0.1, 0.05, 0.2]) if one.covariance is None else np.array([0.02, 0.01, 0.03])
-    got = intervals.posterior_of(problem, one, CALIBRATED, extra)
+    got = intervals.posterior_of(problem, one, IntervalCalibration(), extra)
     sd = np.sqrt(np.diag(got.covariance))
     np.testing.assert_allclose(sd, np.hypot(own, more), rtol=1e-5)
     np.testing.assert_allclose(got.mean, one.best.vector)

@@ -42,6 +42,14 @@ def test_bad_numbers_and_names_are_refused(bad):
         Theta(E_over_rho=700.0, **bad) if name in UNKNOWNS else SceneSettings(**bad)
 
 
+def test_a_rope_begins_half_a_diameter_behind_the_gripper(rope_lift):
+    scene = LiftScene.of(rope_lift.at_rest(), rope_lift.settings)
+    x, radius = scene.body.points, rope_lift.object.diameter / 2.0
+    assert x[:, 0].min() == pytest.approx(-radius, abs=0.002)
+    assert np.ptp(x[:, 0]) == pytest.approx(rope_lift.object.length, abs=0.004)
+    assert scene.held[0] == pytest.approx([0.0, 0.0, radius], abs=1e-3)
+
+
 def test_times_decide_the_clock(rope_lift):
     """Only quasi-static recordings are replayed faster than they were made; what would take hours
     is refused, and so is what shows nothing."""
