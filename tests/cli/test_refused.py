@@ -73,8 +73,6 @@ estimate lift.npz --report file.npz/page.html | is a file, not a folder
 estimate loop | loop: cannot be read
 import loop --out o.npz | loop: cannot be read
 twin loop --to usd --out o | loop
-cell check loop | loop: cannot be read
-train rope-casting --data loop --out o.onnx | loop
 """
 PLANS = {
     "--mass 0.2 0.1": "mass: is 0.2 to 0.1; give one number above 0, or the lower end and then the",

@@ -61,8 +61,7 @@ def test_the_skin_ends_at_the_outline():
     areas = 0.5 * np.linalg.det(np.stack([b - a, c - a], axis=1))
     assert areas.min() > 0.0 and areas.sum() == pytest.approx(part.outline.area, rel=0.03)
     # its transpose, for several frames at once
-    rng = np.random.default_rng(0)
-    y, bar = rng.normal(size=(2, 3, len(x), 3))
+    y, bar = np.random.default_rng(0).normal(size=(2, 3, len(x), 3))
     back = np.sum(body.surface_transpose(y, bar) * y)
     assert back == pytest.approx(np.sum(bar * body.surface(y)), rel=1e-12)
 
