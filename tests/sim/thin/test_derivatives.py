@@ -114,10 +114,10 @@ def test_a_flat_cloth_resists_shear_from_the_start(damping):
 
 @BODIES
 def test_worlds_of_a_batch_do_not_see_each_other(body):
-    """Grippers close and open at different times."""
+    """Grippers close and open at different times, in groups that run in threads."""
     times = [{"closes": 0.004 * seed, "opens": 0.02 + 0.01 * seed} for seed in range(3)]
     worlds = [given(body, seed) | times[seed] for seed in range(3)]
-    check_worlds(partial(simulator, body, below=0.02), worlds, TIMES)
+    check_worlds(partial(simulator, body, below=0.02, threads=2), worlds, TIMES)
 
 
 SHEET = cloth(width=0.2, height=0.2, thickness=0.002, dx=0.02, points=(15, 15))
