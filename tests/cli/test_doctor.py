@@ -11,7 +11,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from fuzz import test_readers as tiny
 from gendom import cli
@@ -71,19 +70,6 @@ def bag(path, version, rows=None, length="0.4"):
     (beside / "object.toml").write_text(OBJECT.replace("0.3", length))
 
 
-def cropped(path):
-    """Clouds of the object alone, which gendom import takes as they are."""
-    ros = pytest.importorskip("ros_messages")
-    down, recording, eye = Rotation.from_euler("x", np.pi), demo(), "eye_optical_frame"
-    rows = [("/tf_static", ros.tf(0.0, "base", eye, (0.0, 0.0, 1.0), down))]
-    for t in range(0, recording.num_frames, 8):
-        time, at = float(recording.time[t]), recording.gripper_position[t, 0]
-        rows.append(("/tf", ros.tf(time, "base", "tool0", at)))
-        points = recording.frame(t).astype(float) * [1.0, -1.0, -1.0] + [0.0, 0.0, 1.0]
-        rows.append(("/points", ros.cloud(time, eye, points)))
-    bag(path, "ROS1", rows, "0.3")
-
-
 KINDS = {  # name: how it is made, what it is called, whether the next command is run
     "lift.npz": (lambda p: demo().write(p), "a recording", False),
     "clouds": (clouds, "a recording", False),
@@ -91,7 +77,6 @@ KINDS = {  # name: how it is made, what it is called, whether the next command i
     "pictures": (depth, "depth pictures of cameras", True),
     "old.bag": (lambda p: bag(p, "ROS1"), "a bag of ROS 1", True),
     "new": (lambda p: bag(p, "MCAP"), "a bag of ROS 2", False),
-    "cropped.bag": (cropped, "a bag of ROS 1", True),
     "board": (board, "pictures of a board", False),
     "estimate.json": (lambda p: tiny.estimate(p.parent), "an estimate of a rope", True),
     "camera.toml": (lambda p: write_camera(p, world.make_camera()), "a camera", False),
@@ -114,9 +99,6 @@ def test_what_lies_there_and_the_next_command(tmp_path, capsys, monkeypatch, nam
         if run:
             assert cli.main([command, *words]) == 0, capsys.readouterr().err
     assert found["next"] or name == "camera.toml"
-    if name == "cropped.bag":  # a frame may be called as in tf
-        assert "gendom import" in found["next"][0]["command"]
-        assert cli.main(["import", name, "--gripper", "/tool0"]) == 0
     assert cli.main(["check", name]) == 0
     assert "can be used" in capsys.readouterr().out
 

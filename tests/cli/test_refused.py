@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from gendom.files import write_json
 from simulated_cell import write_cell
 
 REFUSED = """
@@ -52,6 +53,15 @@ record --reality rope-cotton --rise nan --out new | --rise: is nan m
 record --reality rope-cotton --rise 0 --out new | --rise: is 0 m
 record --reality rope-cotton --frame-rate 0 --out new | --frame-rate: is 0.0; give 90 or less
 record --reality cloth-cotton --rise 150 --out new | --rise: is 150 m, and the cloth 0.3 m wide
+record --reality rope-cotton --motion null.json --out new | lift: expected object, got null
+record --reality rope-cotton --motion high.json --out new | lift: rise: expected float
+record --reality rope-cotton --motion throw.json --out new | end is 'throw'
+record --reality rope-cotton --motion sheet.json --out new | is for a cloth, and rope-cotton is
+record --reality rope-cotton --motion high.json --end drop --out new | leave out --rise and --end
+act rope-casting --goal 0.3 0.4 --params nothing.json | nothing was estimated: no frame holds
+plan-lift rope --length 0.3 | lacks the rope's diameter; give --diameter in metres
+plan-lift rope --side 0.3 | --side: a rope has no side; give --length and --diameter
+plan-lift rope --length 1 2 3 | --length: has 3 numbers; give one, or from and to
 
 view nowhere.npz --html lift.txt | does not end in .html
 estimate lift.npz --out file.npz | is a file, not a folder
@@ -61,16 +71,27 @@ estimate lift.npz --report folder.html | is a folder
 estimate lift.npz --report file.npz/page.html | is a file, not a folder
 
 estimate loop | loop: cannot be read
-check loop | loop: cannot be read
 import loop --out o.npz | loop: cannot be read
-perceive loop | loop
-export loop --out o | loop
 twin loop --to usd --out o | loop
-view loop --html o.html | loop: cannot be read
-cell check loop | loop: cannot be read
-calibrate loop --camera loop | loop: cannot be read
-train rope-casting --data loop --out o.onnx | loop
 """
+PLANS = {
+    "--mass 0.2 0.1": "mass: is 0.2 to 0.1; give one number above 0, or the lower end and then the",
+    "--length -1": "length: is -1 to -1; give one number above 0, or",
+    "--material iron": "there is no material 'iron'",
+    "--material cotton-shirting": "cotton-shirting is no material of a rope",
+    "--draws 0": "draws: is 0; give 1 or more",
+    "--mass 27": "mass: is 27 kg, a density of 9.55e+05 kg/m^3; it looks like",
+    "--level 2": "level: is 2.0; give 0 to 1, as 0.9",
+    "--rises 0": "motion: rise is 0.0; give a number above 0, in SI units",
+    "--for nu": "--for: is 'nu'; choose E, all, damping, friction",
+    "--fro E": "there is no flag '--fro'; did you mean '--for'?",
+}
+MOTIONS = {
+    "null": None,
+    "high": {"kind": "rope", "rise": "high", "speed": 0.1, "end": "hold"},
+    "throw": {"kind": "rope", "rise": 0.2, "speed": 0.1, "end": "throw"},
+    "sheet": {"kind": "cloth", "rise": 0.2, "speed": 0.1, "end": "hold"},
+}
 FOLDERS = {
     "demo": "",
     "record": "--reality absent",
@@ -85,6 +106,7 @@ FILES = {
     "calibrate absent --camera absent.toml --out": ".toml",
 }
 CASES = [line.partition(" | ")[::2] for line in REFUSED.splitlines() if line]
+CASES += [(f"plan-lift rope --length 0.25 --diameter 0.012 {w}", said) for w, said in PLANS.items()]
 for command, given in FOLDERS.items():
     CASES += [
         (f"{command} {given} --out file.npz", "is a file, not a folder"),
@@ -107,6 +129,10 @@ def place(rope_lift, tmp_path_factory):
     (folder / "file.npz").write_bytes(b"nothing")
     (folder / "folder.html").mkdir()
     (folder / "loop").symlink_to("loop")
+    for name, content in MOTIONS.items():
+        write_json(folder / f"{name}.json", {"format": "gendom-motion/1", "lift": content})
+    verdict = {"usable": False, "reasons": ["no frame holds a point"]}
+    write_json(folder / "nothing.json", {"format": "gendom-estimate/1", "verdict": verdict})
     write_cell(folder)
     return folder
 

@@ -1,12 +1,10 @@
 """Ropes, cables and wires that are held at both ends, and shapes at rest."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
@@ -15,7 +13,7 @@ from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.observed import Observation
 from gendom.estimation.placing import lost_time
 from gendom.estimation.problem import Problem
-from gendom.estimation.replay import WorldInputs, replay_axis, with_twist_shown
+from gendom.estimation.replay import replay_axis, with_twist_shown
 
 
 def markers(scene, x):
@@ -138,11 +136,8 @@ def test_recordings_of_different_cables_are_refused(cable):
     scenes = [LiftScene.of(r) for r in (cable, fewer)]
     with pytest.raises(ParameterError, match="shows 11 markers in order, recording 1 12"):
         Problem(scenes, EstimateSettings())
-    for times in (1.004, 1.02):  # one is as near as it is measured
-        other = replace(cable, object=replace(cable.object, length=times * cable.object.length))
-        scenes[1] = LiftScene.of(other)
-        with nullcontext() if times < 1.01 else pytest.raises(ParameterError, match="length is"):
-            Problem(scenes, EstimateSettings())
+    near = replace(cable, object=replace(cable.object, length=1.004 * cable.object.length))
+    Problem([scenes[0], LiftScene.of(near)], EstimateSettings())  # as it is measured
 
 
 def test_a_wire_at_rest():
@@ -159,38 +154,3 @@ def test_a_wire_at_rest():
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).sum() == pytest.approx(1.5, rel=0.002)
     assert np.abs(found.record["calibration"]["shift"]).max() < 0.003
     assert found.record["rms"] < 0.003
-
-
-def turned(recording, turn, *, swapped=False):
-    """A recording of the same rig elsewhere: turned or mirrored by [3, 3], or with its hands and
-    markers counted from the other end, along axes in the other direction."""
-    way, turn = slice(None, None, -1 if swapped else 1), np.transpose(turn)
-    frames = recording.points.reshape(recording.num_frames, -1, 3).astype(float)[:, way]
-    hands = {"gripper_position": recording.gripper_position[:, way] @ turn}
-    hands["gripper_axis"] = (-1.0 if swapped else 1.0) * recording.gripper_axis[:, way] @ turn
-    return seen_at(recording, frames @ turn, **hands)
-
-
-def test_results_do_not_depend_on_where_a_rig_stands(cable):
-    """Nor on which hand is the first one, which way axes point, or on mirroring."""
-    recording, settings = cable.head(60), EstimateSettings(starts=1, max_iterations=3)
-    level = Rotation.from_euler("z", 37.0, degrees=True).as_matrix()
-    found = estimate(recording, settings)
-    frames = found.fits[0].positions
-    for turn, swapped in ((level, True), (np.diag([1.0, -1.0, 1.0]), False)):
-        other = estimate(turned(recording, turn, swapped=swapped), settings)
-        assert other.theta.E_over_rho == pytest.approx(found.theta.E_over_rho, rel=1e-4)
-        assert other.theta.damping == pytest.approx(found.theta.damping, rel=1e-3)
-        wanted = (frames[:, ::-1] if swapped else frames) @ turn.T
-        assert other.fits[0].positions == pytest.approx(wanted, abs=1e-5)
-
-
-def test_an_axis_that_begins_beside_the_hands_is_held(cable):
-    """However tightly, and wherever it lies: what a hand does not reach cannot be simulated."""
-    tight = replace(cable.object, grasp_radius=1e-5)
-    scene = LiftScene.of(replace(cable.head(20), object=tight))
-    inputs = WorldInputs.of(scene, scene.prior()[1])
-    inputs.positions = inputs.positions + np.array([0.0, 0.0, 0.004])
-    for g, end in ((0, 0), (1, -1)):
-        away = np.linalg.norm(inputs.positions[end] - scene.held[g])
-        assert inputs.gripper(g).radius >= away > 0.003

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import (
     UNKNOWNS,
@@ -16,11 +15,9 @@ from gendom.estimation import (
     Theta,
     chamfers,
     estimate,
-    replay,
 )
 from gendom.estimation.methods.gauss_newton import PER_BATCH
 from gendom.estimation.priors import BENDING_RANGE
-from gendom.files import write_json
 from gendom.materials.parameters import bending_length
 from gendom.observation import chamfer
 from gendom.reading import read_json
@@ -56,25 +53,6 @@ def test_what_a_gripper_does_unsaid_is_found(rope_lift, settings):
     assert record["chamfer_mean_registered"] < record["chamfer_mean"] - 0.001
 
 
-@pytest.mark.slow
-def test_a_cloth_s_modulus_comes_back(cloth_lift):
-    """Within a third: of a limp cloth a lift tells less."""
-    seen = cloth_lift.seen(points=400)
-    found = estimate(seen, EstimateSettings(starts=1, scene=cloth_lift.settings))
-    assert found.usable, found.verdict.reasons
-    modulus = cloth_lift.truth.E_over_rho
-    assert abs(math.log(found.theta.E_over_rho / modulus)) < math.log(4.0 / 3.0)
-
-
-@pytest.mark.slow
-def test_red_rope(real_data):
-    """Bending length near the 0.11 to 0.12 m of an elastica fitted by hand; the replay matches."""
-    recording = Recording.read(real_data / "rope_red_lift.npz")
-    found = estimate(recording, EstimateSettings(starts=1))
-    assert found.usable
-    assert 0.09 <= found.record["bending_length"] <= 0.15 and found.record["chamfer_last"] <= 0.012
-
-
 def test_what_is_known_is_not_looked_for(rope_lift, lifted, settings):
     """With the material known, only what belongs to the recording is found."""
     known = Theta(**dict(rope_lift.truth) | {"damping": 0.002})
@@ -108,12 +86,7 @@ def test_record_is_gendom_estimate_1(rope_lift, found):
     # the range is one of bending lengths, in lengths of the rope
     shares = np.array(record["bounds"]["bending_length"]) / found.scene.size
     np.testing.assert_allclose(shares, BENDING_RANGE["rope"])
-    made = record["simulation"]
-    assert (made["clock"], made["points_simulated"]) == (1.0, 15)
-    assert 2 <= record["iterations"] <= PER_BATCH * EstimateSettings.max_iterations
-    # what calibration adds moves it by less than that towards the prior
     (start,) = record["starts"]
-    assert start["final"]["E_over_rho"] == pytest.approx(record["E_over_rho"], rel=1e-3)
     assert start["converged"] and start["loss"] == record["rms"]
 
 
@@ -128,7 +101,6 @@ def test_chamfer_is_that_of_the_best_fit(lifted, found):
     assert record["chamfer_last"] == whole[-1] and record["chamfer_last_surface"] == surface[-1]
     assert record["chamfer_mean"] == pytest.approx(whole.mean())
     assert surface.mean() < whole.mean() < 0.01  # noise and the unseen lower side
-    assert np.allclose(replay(scene, [found.theta])[:, 0], fit.positions)
 
 
 def test_an_estimate_comes_back_from_its_file(found, tmp_path):
@@ -143,35 +115,10 @@ def test_an_estimate_comes_back_from_its_file(found, tmp_path):
     text = repr(found)
     assert repr(again) == text and len(text) < 1200 and text.count("\n") < 15
     assert "Young's modulus" in text and "Pa" in text and "90% in [" in text
-    table = found._repr_html_()
-    assert table.count("<tr>") == len(found.rows()) and "usable" in table
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"format": "other/1"}, "not 'gendom-estimate/1'"),
-        ({"E": 1.0}, r"estimate\.json: was changed after it was written"),
-        (None, "nothing was estimated: no frame holds a point"),
-    ],
-)
-def test_other_files_are_refused(found, tmp_path, changes, words):
-    """Of other formats, changed by hand, or of a recording that was refused."""
-    path = tmp_path / "estimate.json"
-    verdict = {"usable": False, "reasons": ["no frame holds a point"]}
-    refused = {"format": "gendom-estimate/1", "verdict": verdict}
-    write_json(path, refused if changes is None else found.record | changes)
-    with pytest.raises(ParameterError, match=words):
-        Estimate.load(path)
-
-
-def test_the_object_has_the_estimated_material(found):
-    rope = found.rope()
-    assert rope.material.E == pytest.approx(found.E) and rope.material.nu == found.nu
-    assert rope.length == found.record["object"]["length"]
     with pytest.raises(ParameterError, match="is of a rope"):
         found.cloth()
-    assert len({item.material.E for item in found.draws(5, seed=0)}) == 5
+    table = found._repr_html_()
+    assert table.count("<tr>") == len(found.rows()) and "usable" in table
 
 
 def test_progress_is_reported(watched):
@@ -217,7 +164,6 @@ def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):
         ({"starts": 0}, "starts must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"max_iterations": 1}, "max_iterations must be at least 2, got 1"),
-        ({"level": 1.0}, "level must lie between 0 and 1, got 1.0"),
         ({"level": 0.0}, "level must lie between 0 and 1, got 0.0"),
         ({"frames": "first"}, "unknown frames 'first'; choose one of all, last"),
         ({"camera_pose": "guessed"}, "unknown camera_pose 'guessed'; choose one of stated, unkn"),
@@ -233,11 +179,9 @@ def test_bad_settings_are_refused(lifted, settings, changes, words):
         estimate(lifted, replace(settings, **changes))
 
 
-def test_recordings_that_were_made_are_checked_as_those_that_are_read(lifted):
+def test_recordings_are_checked_wherever_they_are_from(lifted):
     broken = replace(lifted, time=lifted.time[::-1].copy())
-    for recordings, words in (([lifted, broken], "recording 2: time"), (broken, "time")):
-        with pytest.raises(RecordingError, match=words):
-            estimate(recordings)
-    for other in ([lifted, "lift.npz"], 3):
-        with pytest.raises(ParameterError, match="recordings"):
-            estimate(other)  # type: ignore[arg-type]
+    with pytest.raises(RecordingError, match="recording 2: time"):
+        estimate([lifted, broken])
+    with pytest.raises(ParameterError, match="recordings"):
+        estimate([lifted, "lift.npz"])  # type: ignore[list-item]

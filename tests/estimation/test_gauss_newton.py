@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gendom.estimation import EstimateSettings, LiftScene, Problem, estimate
+from gendom.estimation import EstimateSettings, LiftScene, Problem
 from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.gauss_newton import (
     Descent,
@@ -98,12 +98,3 @@ def test_ends_apart_are_kept(ends, values, rival, apart):
     found, noise, away = _likeliest(descent, [(s, k) for k, s in enumerate(starts)])  # type: ignore
     assert found is best and noise == np.argmin(values) and best.value == min(values)
     assert [list(v) for v in away] == [list(other.vector)] * apart
-
-
-def test_a_cloth_of_known_material_is_placed(cloth_lift):
-    """Leaps are by the object's unknowns, of which there are none."""
-    settings = EstimateSettings(
-        starts=1, max_iterations=5, unknowns=("grip_height", "yaw"), scene=cloth_lift.settings
-    )
-    found = estimate(cloth_lift.seen(frames=6), settings, known=cloth_lift.truth)
-    assert found.posterior.names == ("grip_height", "yaw") and found.record["rms"] < 3e-3

@@ -19,7 +19,6 @@ from gendom.estimation.lift_plan import (
     plan_lift,
     rolls,
 )
-from gendom.materials import Rope
 from gendom.reality import as_real, lift
 from gendom.robot import XARM7, LiftMotion, follow, predefined_lift
 
@@ -93,14 +92,6 @@ def test_nothing_that_the_arm_can_do():
         plan_lift(long, LiftPlanSettings(ends=("hold",), rises=(1.0,), speeds=(0.1,), draws=1))
 
 
-def test_sizes_are_shares_of_their_ranges():
-    ropes = ObjectClass(kind="rope", size=(0.2, 0.4), thickness=(0.01, 0.01), mass=(0.02, 0.04))
-    for shares, made in (((0.5,), (0.3, 0.01, 0.03)), ((0.1, 0.2, 0.75), (0.22, 0.01, 0.035))):
-        rope = ropes.at(*shares)
-        assert isinstance(rope, Rope)
-        assert (rope.length, rope.diameter, rope.mass) == pytest.approx(made)
-
-
 # ---- the commands --------------------------------------------------------------------------------
 
 
@@ -120,54 +111,3 @@ def test_the_command_writes_what_record_reads(tmp_path, capsys):
     assert path["position"][-1][2] - path["position"][0][2] == pytest.approx(rise)
     header, *rows = (out / "joints.csv").read_text().splitlines()
     assert header.startswith("time,q0") and header.endswith("gripper") and len(rows) > 100
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["rope", "--length", "0.3"], "lacks the rope's diameter; give --diameter in metres"),
-        (["rope", "--side", "0.3"], "--side: a rope has no side; give --length and --diameter"),
-        (["rope", "--length", "1", "2", "3"], "--length: has 3 numbers; give one, or from and to"),
-        ([*FIXED, "--mass", "0.2", "0.1"],
-         "mass: is 0.2 to 0.1; give one number above 0, or the lower end and then the higher one"),
-        ([*FIXED, "--length", "-1"], "length: is -1 to -1; give one number above 0, or"),
-        ([*FIXED, "--material", "iron"], "there is no material 'iron'"),
-        ([*FIXED, "--material", "cotton-shirting"], "cotton-shirting is no material of a rope"),
-        ([*FIXED, "--draws", "0"], "draws: is 0; give 1 or more"),
-        ([*FIXED, "--mass", "27"], "mass: is 27 kg, a density of 9.55e+05 kg/m^3; it looks like"),
-        ([*FIXED, "--level", "2"], "level: is 2.0; give 0 to 1, as 0.9"),
-        ([*FIXED, "--rises", "0"], "motion: rise is 0.0; give a number above 0, in SI units"),
-        ([*FIXED, "--for", "nu"], "--for: is 'nu'; choose E, all, damping, friction"),
-        ([*FIXED, "--fro", "E"], "there is no flag '--fro'; did you mean '--for'?"),
-    ],
-)  # fmt: skip
-def test_bad_input_is_one_line(words, line, capsys):
-    assert main(["plan-lift", *words]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("gendom plan-lift: ") and told.count("\n") == 1
-    assert line in told
-
-
-MOTION = {"kind": "rope", "rise": 0.2, "speed": 0.1, "end": "hold"}
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (None, "lift: expected object, got null"),
-        ({"rise": "high"}, "lift: rise: expected float"),
-        ({"end": "throw"}, "end is 'throw'"),
-        ({"kind": "cloth"}, "is for a cloth, and rope-cotton is a rope"),
-    ],
-)
-def test_motions_that_cannot_be_recorded(content, says, tmp_path, capsys):
-    path = tmp_path / "motion.json"
-    motion = {"format": "gendom-motion/1", "lift": content and {**MOTION, **content}}
-    path.write_text(json.dumps(motion))
-    words = ["record", "--reality", "rope-cotton", "--out", str(tmp_path / "lift")]
-    assert main([*words, "--motion", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert says in told and told.count("\n") == 1
-    assert not (tmp_path / "lift").exists()
-    assert main([*words, "--motion", str(path), "--end", "drop"]) == 2
-    assert "leave out --rise and --end" in capsys.readouterr().err

@@ -55,10 +55,7 @@ def test_what_cameras_of_unknown_poses_see_is_moved_to_the_robot(rope_lift, sett
 
 def test_the_first_shift_brings_the_top_to_the_gripper(rope_lift):
     """To within the rope's own sizes; of a lift that is too low there is none."""
-    lifted, aside = rope_lift.seen(frames=20), np.eye(4)
+    lifted = rope_lift.seen(frames=20)
     assert np.linalg.norm(first_shift(lifted)[:3, 3]) < 0.025
-    aside[:3, 3] = 0.05, 0.0, -0.04
-    change = first_shift(lifted.moved(aside))[:3, 3] - first_shift(lifted)[:3, 3]
-    assert change == pytest.approx([-0.05, 0.0, 0.04], abs=1e-4)
     with pytest.raises(RecordingError, match="need a gripper that lifts the object by 30%"):
         first_shift(lifted.head(6))

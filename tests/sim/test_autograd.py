@@ -102,8 +102,6 @@ def test_keywords_and_defaults_are_those_of_the_simulator():
         ({"E": torch.ones(2) * 1e5, "nu": torch.ones(3) * 0.3}, "different numbers"),
         ({"positions": torch.zeros(5, 3)}, "positions has shape"),
         ({"E": "soft"}, "E must be numbers, got 'soft'"),
-        ({"grippers": [3]}, r"grippers\[0\] must be a Gripper"),
-        ({"body": 3}, "body must be a Body"),
         ({"obstacles": [3]}, r"obstacles\[0\] must be a Obstacle"),
         ({"table": None, "friction": np.float64(0.2)}, "without a table"),
     ],

@@ -16,7 +16,6 @@ from gendom.sim import (
     Capsule,
     Cuboid,
     Gripper,
-    Grippers,
     Rollout,
     Simulator,
     Solver,
@@ -26,7 +25,6 @@ from gendom.sim import (
     open_device,
     rope,
 )
-from gendom.sim.gripper import NEEDED
 from validation.bench import flat_simulator, moved
 
 nan, inf = math.nan, math.inf
@@ -49,7 +47,6 @@ def refused(make, **given):
 # ---- one argument is wrong -----------------------------------------------------------------------
 
 PATH = {"time": [0.0, 1.0], "position": [[0, 0, 0], [0, 0, 1]], "radius": 0.01}
-ARRAYS = {**Grippers.of([[HAND]]).arrays, "hold_from": np.zeros((1, 1))}
 
 
 def made(kind="thin", **given):
@@ -103,15 +100,6 @@ WRONG = [
         "radius": [[0.01, 0.02], inf, 0.0],
         **each([[0.0, 1.0], nan], "hold_from hold_until"),
     }),
-    (lambda **arrays: Grippers(arrays), ARRAYS, {
-        "time": [np.zeros(2), np.array([[[0.0, -1.0]]])],
-        "position": [np.zeros((1, 1, 3, 3)), np.full((1, 1, 2, 3), nan)],
-        "orientation": [np.full((1, 1, 2, 4), nan)],
-        "radius": [np.ones((2, 1)), None, np.zeros((1, 1))],
-        "hold_from": [np.full((1, 1), nan)],
-        "hold_until": [np.full((1, 1), -1.0)],
-    }),
-    (lambda **arrays: Grippers(arrays), ARRAYS, {name: [...] for name in NEEDED}),
     (Table, {"height": 0.0}, {"height": [[0.0, 1.0], nan], "friction": [RAGGED, -0.3]}),
     (made, {}, SIMULATORS),
     (partial(made, "mpm"), {}, SIMULATORS),
@@ -233,11 +221,6 @@ UNFIT = [
 @pytest.mark.parametrize(("make", "given", "words"), UNFIT)
 def test_what_does_not_fit_together_is_said(make, given, words):
     assert re.search(words, refused(make, **given))
-
-
-def test_what_fits_all_the_same():
-    Gripper(**PATH, hold_from=1.0, hold_until=1.0)  # never closes
-    Simulator(BLOCK, [Material(E=1e4)], solver=Solver(engine="mpm"))
 
 
 def test_grippers_that_miss_say_by_how_much():

@@ -178,7 +178,6 @@ def test_substep_is_a_share_of_the_courant_limit():
     body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01)
     found = simulator(body, [stiff, SOFT], cfl=0.2).substep
     assert found == pytest.approx([0.2 * 0.01 / 10.0, 0.2 * 0.01 / SOFT.wave_speed])
-    assert simulator(body, [stiff], substep=1e-5).substep == pytest.approx([1e-5])
 
 
 def test_devices():

@@ -77,34 +77,28 @@ def dropped(n, **options):
     return body, s.run(np.linspace(0.02, 1.5, 75))[:, 0]
 
 
-def test_a_limp_cloth_never_crosses():
-    """And layers above push none below the table."""
-    body, heap = dropped(13)
-    assert min(f[:, 2].min() for f in heap) > 0.499 * body.thickness
-    for f in heap:
-        check_cloth(f, model_of(body))
+CUDA = pytest.param(16, "cuda", marks=pytest.mark.gpu)
 
 
 @pytest.mark.parametrize(
-    "device",
-    [pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)],
+    ("n", "device"), [(11, "cpu"), pytest.param(16, "cpu", marks=pytest.mark.slow), CUDA]
 )
-def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(device):
-    """By two corners."""
-    body, heap = dropped(16, device=device)
-    size, corners, model = 0.011 * 15, heap[-1][[0, -1]], model_of(body)
+def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(n, device):
+    """By two corners. Layers above push none below the table."""
+    body, heap = dropped(n, device=device)
+    assert min(f[:, 2].min() for f in heap) > 0.499 * body.thickness
+    size, corners, model = 0.011 * (n - 1), heap[-1][[0, -1]], model_of(body)
     up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
     hands = [
         Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
         for at, to in zip(corners, apart, strict=True)
     ]
-    x = simulated(body, hands, positions=heap[-1], device=device).run(np.linspace(0.02, 2.2, 110))[
-        :, 0
-    ]
+    s = simulated(body, hands, positions=heap[-1], device=device)
+    x = s.run(np.linspace(0.02, 2.2, 110))[:, 0]
     for f in (*heap, *x):
         check_cloth(f, model)
-    # 0.65 to 0.90, as it is rounded
-    assert np.ptp(heap[74], axis=0)[:2].prod() < 0.95 * size**2
+    # 0.65 to 0.90, as it is rounded; a smaller one unfolds
+    assert n == 11 or np.ptp(heap[74], axis=0)[:2].prod() < 0.95 * size**2
     assert np.linalg.norm(x[-1, -1] - x[-1, 0]) > 0.94 * size * np.sqrt(2.0)
 
 
@@ -113,9 +107,6 @@ def test_a_body_that_begins_in_itself_is_an_error():
     line = rope(diameter=0.01, length=0.3, points=31)
     turn = np.linspace(0.0, 2.2 * np.pi, 31)
     ring = 0.3 / (2.2 * np.pi) * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-    turns = np.linspace(0.0, 4.0 * np.pi, 600)
-    coil = np.stack([0.03 * np.cos(turns), 0.03 * np.sin(turns), 0.007 * turns / 2 / np.pi], axis=1)
-    coiled = rope(diameter=0.01, centre_line=coil, points=61)
     sheet = cloth(width=0.1, height=0.1, thickness=0.001, dx=0.02, points=(11, 11))
     folded = sheet.points.copy()
     over = folded[:, 0] > 0.05
@@ -129,7 +120,6 @@ def test_a_body_that_begins_in_itself_is_an_error():
     for body, x, said in (
         (thick, thick.points, "cannot be folded"),
         (line, ring, "the rope begins in itself"),
-        (coiled, coiled.points, "two parts of it are 7"),
         (sheet, nearer, "the cloth begins in itself: two layers"),
         (sheet, crossing, "the cloth begins crossing itself"),
     ):

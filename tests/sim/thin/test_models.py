@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gendom.materials import Material
-from gendom.sim import Gripper, cloth, rope
+from gendom.sim import cloth, rope
 from gendom.sim.thin.engine import ThinEngine
 from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
@@ -77,34 +77,13 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     assert 0.05 * bending < most < bending
 
 
-LIGHT, DENSE = (Material(E=1e6, nu=0.3, density=density) for density in (500.0, 1000.0))
+LIGHT = Material(E=1e6, nu=0.3, density=500.0)
 ROPE = rope(length=0.3, diameter=0.01)
 
 
 @pytest.mark.parametrize("body", [ROPE, cloth(**SIZES)], ids=["rope", "cloth"])
-def test_twice_the_mass_is_twice_the_density(body):
+def test_points_are_as_much_heavier_as_is_told(body):
     factors = np.linspace(0.8, 2.0, len(body.points))
     light, heavy = (flat_simulator(body, [LIGHT], mass=m).engine for m in (1.0, factors))
     assert isinstance(light, ThinEngine) and isinstance(heavy, ThinEngine)
     np.testing.assert_allclose(heavy.model.mass / light.model.mass, factors[None])
-    held = Gripper.still(body.points[0], radius=0.015)
-    x = [
-        flat_simulator(body, [material], grippers=[held], mass=mass).run([0.1])[0, 0]
-        for material, mass in ((LIGHT, 2.0), (DENSE, 1.0), (LIGHT, 1.0))
-    ]
-    assert np.abs(x[0] - x[1]).max() < 2e-4
-    assert np.abs(x[2] - x[1]).max() > 5e-4
-
-
-def test_a_rod_takes_on_its_share_of_the_curvature():
-    """In free space an arc of 1 rad straightens to half of that, and wholly."""
-    turn = np.linspace(0.0, 1.0, 60)
-    arc = 0.2 * np.stack([np.sin(turn), 1.0 - np.cos(turn), 0.0 * turn], axis=1)
-    simulator = flat_simulator(
-        rope(diameter=0.01, centre_line=arc, points=13), [replace(DENSE, damping=0.02)] * 3,
-        natural_curvature=[1.0, 0.5, 0.0], gravity=(0.0, 0.0, 0.0), velocity_damping=2.0,
-    )  # fmt: skip
-    ahead = np.diff(simulator.run([1.5])[0], axis=1)
-    ends = ahead[:, [0, -1]] / np.linalg.norm(ahead[:, [0, -1]], axis=2, keepdims=True)
-    turned = np.arccos(np.clip((ends[:, 0] * ends[:, 1]).sum(axis=1), -1.0, 1.0))
-    assert turned / turned[0] == pytest.approx([1.0, 0.5, 0.0], abs=0.05)

@@ -136,16 +136,6 @@ def test_what_rests_on_a_box_moves_with_it():
     assert np.abs(x[1] - sheet.points).max() < 2e-4
 
 
-def test_obstacles_of_their_own_for_each_world():
-    line = rope(diameter=0.006, length=0.1, start=(-0.05, 0, 0.2), points=41)
-    bars = [[Capsule.between((0, -0.1, z), (0, 0.1, z), radius=0.01)] for z in (0.1, 0.15)]
-    x = Simulator(line, [Material(E=1e5)] * 2, obstacles=bars).run([0.14])[0]
-    for w, (bar,) in enumerate(bars):
-        one = Simulator(line, [Material(E=1e5)], obstacles=[bar]).run([0.14])[0, 0]
-        np.testing.assert_array_equal(x[w], one)
-    assert np.abs(x[0] - x[1]).max() > 1e-3
-
-
 @pytest.mark.gpu
 def test_cuda_meets_obstacles_as_the_cpu_does():
     p = given(CLOTH)

@@ -5,17 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import eigvalsh
-from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth
+from gendom.sim import Gripper, Simulator, cloth
 from gendom.sim.outlines import Outline
-from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.engine import ThinEngine
-from sim.thin.shared import model_of
-from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
 from validation.specimens import circle
 
@@ -66,8 +61,7 @@ def test_the_skin_ends_at_the_outline():
     areas = 0.5 * np.linalg.det(np.stack([b - a, c - a], axis=1))
     assert areas.min() > 0.0 and areas.sum() == pytest.approx(part.outline.area, rel=0.03)
     # its transpose, for several frames at once
-    rng = np.random.default_rng(0)
-    y, bar = rng.normal(size=(2, 3, len(x), 3))
+    y, bar = np.random.default_rng(0).normal(size=(2, 3, len(x), 3))
     back = np.sum(body.surface_transpose(y, bar) * y)
     assert back == pytest.approx(np.sum(bar * body.surface(y)), rel=1e-12)
 
@@ -91,51 +85,6 @@ def test_a_sheet_has_the_energies_of_a_plate_and_a_membrane(outline):
     x = body.points * [1.0 + strain, 1.0 - 0.3 * strain, 1.0]
     found = membrane_energy(Simulator(body, [MATERIAL], positions=x))
     assert found == pytest.approx(0.5 * E * strain**2 * area * 0.002, rel=1e-3)
-
-
-def fastest_squared(body):
-    """Squared angular frequency of the body's fastest small vibration [1/s^2].
-
-    One world a point and axis: accelerations of all points where that one is displaced.
-    """
-    n, far, h = len(body.points), 1e-8, 1e-7
-    x = body.points + far * np.eye(3 * n).reshape(-1, n, 3)
-    space = {"gravity": (0, 0, 0), "air_density": 0.0}
-    s = flat_simulator(body, [MATERIAL] * (3 * n), positions=x, **space)
-    s.run([h])
-    a = s.velocities() / (0.5 * h)  # the first step begins at rest
-    m = np.sqrt(np.repeat(engine_of(s).model.mass[0], 3))
-    K = -a.reshape(len(m), len(m)) / far
-    K = K * m / m[:, None]
-    return eigvalsh(0.5 * (K + K.T), subset_by_index=[len(m) - 1, len(m) - 1])[0]
-
-
-@pytest.mark.parametrize(("points", "thickness"), [(14, 0.0005), (16, 0.003)])
-def test_steps_are_stable(points, thickness):
-    """Against the fastest vibration of the whole sheet. Discs have points of very little mass."""
-    body = cloth(outline=circle(0.1), points=(points, points), thickness=thickness, dx=0.02)
-    e, fastest = engine_of(Simulator(body, [MATERIAL])), math.sqrt(fastest_squared(body))
-    longest = e.model.longest_step()[0]
-    assert 0.3 * 2.0 / fastest < longest < 2.0 / fastest
-
-
-def test_a_dropped_ring_keeps_clear_of_itself():
-    body = cloth(outline=RING, points=(14, 14), thickness=0.001, dx=0.02)
-    x = body.points @ Rotation.from_euler("x", 75, degrees=True).as_matrix().T
-    x += [0.0, 0.0, 0.02 - x[:, 2].min()]
-    x += 1e-4 * np.random.default_rng(0).normal(size=x.shape)
-    soft, model = Material(E=1e5, density=400.0, damping=0.005), model_of(body)
-
-    def check(**contact):
-        s = flat_simulator(
-            body, [soft], table=Table(height=0, friction=0.5), positions=x, **contact
-        )
-        for shape in s.run(np.linspace(0.05, 0.4, 8))[:, 0]:
-            check_cloth(shape, model)
-
-    check(self_contact=True, self_friction=0.4)
-    with pytest.raises(ParameterError, match="begins crossing itself"):
-        check()
 
 
 # ---- grippers ------------------------------------------------------------------------------------
