@@ -130,7 +130,7 @@ def test_numbers_of_every_type(tmp_path):
 
 def test_a_header_of_64_kib_and_numbers_of_1100_characters_are_read(tmp_path):
     assert read_as_ply(tmp_path, LONGEST + b"end_header\n") == []
-    data = ply("ascii", *XYZ) + b"0." + b"0" * 1097 + b"1 2 3 -nan(ind) 5 6 junk"
+    data = ply("ascii", *XYZ) + b"0." + b"0" * 1097 + b"1 2 3 -nan(ind) 5 6"
     assert read_as_ply(tmp_path, data) == [[0.0, 2.0, 3.0]]
     data = ply("ascii", *XYZ) + b"1 2 3 4 5 6" + b" " * ((1 << 25) - 11)  # as much text as is read
     assert read_as_ply(tmp_path, data) == [[1, 2, 3], [4, 5, 6]]
@@ -151,6 +151,8 @@ def test_what_no_ply_file_may_be(tmp_path):
         (LONGEST.replace(b"cc", b"ccc", 1) + b"end_header\n", "has no end_header"),
         (ply("binary", *XYZ), f"has the format 'binary', not one of {kinds}"),
         (ply("ascii", "element face 2"), "has no element 'vertex'"),
+        (ply("ascii", *XYZ) + b"1 2 3 4 5 6 7", "holds more than the 6 numbers that are announced"),
+        (little + bytes(24) + b"1", f"holds more than the {len(little) + 24} bytes"),
         (ply("ascii", *XYZ, "property list uchar int v"), "has lists before its vertices or in th"),
         (ply("ascii", "element a 1", FOREIGN[-1], *XYZ), "has lists before its vertices or in the"),
         (ply("ascii", *XYZ, "property float x"), "has 2 fields 'x', not one"),

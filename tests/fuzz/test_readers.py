@@ -431,12 +431,20 @@ FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
     ("kind", "old", "new"),
     [
         ("ply", POINTS[0].tobytes(), FAR),  # 100 GB of 10 mm
+        ("ply", b"vertex 12", b"vertex 10"),  # two are left over
         ("MCAP clouds", b"float64 y", b"float64 Y"),
         ("MCAP clouds", bytes(24) + ONE, bytes(24) + np.float64(1e200).tobytes()),
         ("arm", b"b.stl", b"b" * 300),  # longer than names are
         ("arm", np.array([0.05, 0, 0], "<f4").tobytes(), FAR),  # 1e21 triangles of 15 mm
     ],
-    ids=["far points", "another field", "a turn without length", "a long name", "a far corner"],
+    ids=[
+        "far points",
+        "a smaller count",
+        "another field",
+        "a turn without length",
+        "a long name",
+        "a far corner",
+    ],
 )
 def test_what_was_found_stays_mended(tmp_path, kind, old, new):
     folder, files, stated = made(tmp_path, kind)
