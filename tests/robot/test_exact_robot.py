@@ -401,14 +401,10 @@ def test_a_blend_is_the_mean_under_a_parabola():
     np.testing.assert_array_equal(T[:, 3], [[0.0, 0.0, 0.0, 1.0]] * 2)
     np.testing.assert_array_equal(path.corners, path.time)
     # a corner is missed by 3/32 of the jump times the blend
-    off = path.deviation(0.1)
-    jump = np.linalg.norm([0.0, 0.5, 0.125])
-    assert off == pytest.approx(3.0 / 32.0 * 0.6 * 0.1, rel=0.01) and jump < 0.6
+    assert path.deviation(0.1) == pytest.approx(3.0 / 32.0 * 0.6 * 0.1, rel=0.01)
     bent = some_path(time=[0.0, 1.0, 2.0], position=[[0, 0, 0], [1, 0, 0], [1, 1, 0]])
-    off = bent.deviation(0.2)
-    assert off == pytest.approx(3.0 / 32.0 * math.sqrt(2.0) * 0.2, rel=0.01)
-    kept = replace(bent, blend=0.2).deviation(0.2)
-    assert kept < 1e-12
+    assert bent.deviation(0.2) == pytest.approx(3.0 / 32.0 * math.sqrt(2.0) * 0.2, rel=0.01)
+    assert replace(bent, blend=0.2).deviation(0.2) < 1e-12
     assert some_path(position=np.zeros((4, 3))).deviation(0.1) == 0.0
 
 

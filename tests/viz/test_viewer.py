@@ -155,12 +155,10 @@ ASKED = [
     ("http://localhost:9000", "localhost:9000", True),  # behind a tunnel
     ("http://evil.example", None, False),
     ("http://127.0.0.1:1", None, False),  # another server of this machine
-    ("https://{own}", None, False),
     ("null", None, False),
     ("http://{own}.evil.example", None, False),
     ("http://evil.example", "evil.example", False),  # a name that was made to lead here
     (None, "evil.example", False),
-    (None, "127.0.0.1.evil.example:80", False),
     (None, "[", False),
 ]
 """Origin and host of requests, and whether they are served."""
