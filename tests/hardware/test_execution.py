@@ -138,7 +138,6 @@ def test_an_action_of_an_arm_from_a_file_is_read_back_with_its_cell(made, tmp_pa
         (lambda s: s["plan"]["motion"]["q"][7].__setitem__(1, 3.0), "joint 2"),
         (lambda s: s["plan"]["motion"]["q"][7].__setitem__(1, "a"), "plan.motion.q"),
         (lambda s: s["plan"]["motion"]["q"].pop(), "needs time"),
-        (lambda s: s["plan"]["motion"]["time"].reverse(), "its times do not increase"),
     ],
 )
 def test_a_damaged_action_is_refused_in_one_line(made, tmp_path, refused, change, words):
