@@ -501,7 +501,7 @@ def test_limits_are_used_as_a_cubic_does():
     slow = motion.stretched(motion.slowdown(XARM7) * 1.001)
     slow.check_limits(XARM7)
     with pytest.raises(RobotError, match=r"take 1\.\d{3} times as long"):
-        motion.stretched(0.9 * motion.slowdown(XARM7)).check_limits(XARM7)
+        motion.stretched(0.999 * motion.slowdown(XARM7)).check_limits(XARM7)
     # how far a joint turns at most: the speed's parabola within its Bezier points
     bound = hits._rotation_bound(motion, np.array([1.0, 1.0]), np.array([3.0, 2.0]))
     np.testing.assert_allclose(bound[0], 3.0 * abs(by))
