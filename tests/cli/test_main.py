@@ -109,6 +109,17 @@ sys.exit(cli.main(['policies']))"""
     assert told.stderr.strip() == "0" and (tmp_path / "out").read_text() == "done"
 
 
+def test_without_streams_and_with_a_home_in_a_word(tmp_path, monkeypatch):
+    """Shells leave --out=~/made as it is; what runs in the background has no streams."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    words = ["dataset", "rope-casting", "--size", "1", "--out=~/made"]
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    assert cli.main(words) == 0 and cli.main(["check", "absent"]) == 2
+    assert (tmp_path / "made").is_dir() and not (tmp_path / "~").exists()
+
+
 def test_check_prints_a_summary(refused, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     clouds = [np.linspace([0.0, 0.0, 0.0], [0.4, 0.0, 0.01 * t], 10 + t) for t in range(3)]

@@ -73,7 +73,7 @@ LONGEST += b"comment " + b"c" * ((1 << 16) - len(LONGEST) - 20) + b"\n"
 BOTH = [[1, 2, 3], [4, 5, 6]]
 DIALECTS = {
     "long number": (PLAIN + SIX + b"0" * 40 + b"e-40", BOTH),  # more than a double holds
-    "longest number": (PLAIN + b"0." + b"0" * 1097 + b"1 2 3 -nan(ind) 5 6 junk", [[0, 2, 3]]),
+    "longest number": (PLAIN + b"0." + b"0" * 1097 + b"1 2 3 -nan(ind) 5 6", [[0, 2, 3]]),
     "longest text": (PLAIN + SIX + b" " * ((1 << 25) - 11), BOTH),
     "longest header": (LONGEST + b"end_header\n", []),
     "windows, integers": (
@@ -123,6 +123,8 @@ def refused_ply():
         (LONGEST.replace(b"cc", b"ccc", 1) + b"end_header\n", "has no end_header"),
         (ply("binary", *XYZ), f"has the format 'binary', not one of {kinds}"),
         (ply("ascii", "element face 2"), "has no element 'vertex'"),
+        (ply("ascii", *XYZ) + b"1 2 3 4 5 6 7", "holds more than the 6 numbers that are announced"),
+        (little + bytes(24) + b"1", f"holds more than the {len(little) + 24} bytes"),
         (ply("ascii", "element a 1", FOREIGN[-1], *XYZ), "has lists before its vertices or in the"),
         (ply("ascii", *XYZ, "property float x"), "has 2 fields 'x', not one"),
         (ply("ascii", *XYZ[:3]), "has 0 fields 'z', not one"),

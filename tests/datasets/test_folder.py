@@ -195,3 +195,5 @@ def test_names_in_two_orders_of_which_neither_fits():
     names = [f"{n}.{k}" for n in range(3) for k in (1, 5, 13, 9)]
     with pytest.raises(RecordingError, match="can be put in two orders"):
         in_order(names, 0.1 * np.arange(12), where="lift")
+    with pytest.raises(RecordingError, match="'A1' and 'a01' are the same number; number the"):
+        in_order(["A1", "a2", "a01"], 0.1 * np.arange(3), where="lift")

@@ -178,6 +178,7 @@ EMPTY = {"points": lambda a: a[63:], "offsets": lambda _: np.array([0, 0, 0, 0, 
 NO_GRIPPER = dict.fromkeys(("gripper_position", "gripper_axis"), lambda a: a[:, :0])
 MM, CM = "it looks like millimetres; divide by 1000", "it looks like centimetres; divide by 100"
 EITHER = "it looks like centimetres or millimetres; divide by 100 or 1000"
+FAR = "points: a frame spans 4.01e+19 m, the object"
 FAULTS = [
     ({"points": ...}, "points: is missing; add it: float32 [S, 3]"),
     ({"points": lambda a: a[:, :2]}, "points: has shape [110, 2]; give float32 [S, 3]"),
@@ -199,6 +200,7 @@ FAULTS = [
     ({"gripper_position": lambda a: a + np.eye(3)[0]}, "gripper_position, gripper 0: never"),
     ({"points": lambda a: 1e3 * a}, f"points: a frame spans 401 m, the object 0.4 m; {MM}"),
     ({"points": lambda a: 100.0 * a}, f"points: a frame spans 40.1 m, the object 0.4 m; {CM}"),
+    ({"points": lambda a: 1e20 * a}, f"{FAR} 0.4 m; it is as large in no unit; look for numbers"),
     ({"time": lambda a: 1e3 * a},
      "time: frames are 100 s apart; it looks like milliseconds; divide by 1000"),
     ({"time": lambda a: 1e6 * a},

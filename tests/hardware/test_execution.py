@@ -106,8 +106,7 @@ def test_an_action_is_read_as_it_was_planned(made, tmp_path):
     stamps = [p["time_from_start"] for p in said["points"]]
     t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
     assert t[0] == 0.0 and t[-1] == pytest.approx(plan.motion.end - plan.motion.start, abs=1e-8)
-    slope = (q[2:] - q[:-2]) / (t[2:] - t[:-2])[:, None]
-    assert np.abs(slope - v[1:-1]).max() < 0.05 * np.abs(v).max()
+    assert np.abs(np.gradient(q, t, axis=0) - v).max() < 0.05 * np.abs(v).max()
 
 
 def test_an_action_of_an_arm_from_a_file_is_read_back_with_its_cell(made, tmp_path):
@@ -139,7 +138,6 @@ def test_an_action_of_an_arm_from_a_file_is_read_back_with_its_cell(made, tmp_pa
         (lambda s: s["plan"]["motion"]["q"][7].__setitem__(1, 3.0), "joint 2"),
         (lambda s: s["plan"]["motion"]["q"][7].__setitem__(1, "a"), "plan.motion.q"),
         (lambda s: s["plan"]["motion"]["q"].pop(), "needs time"),
-        (lambda s: s["plan"]["motion"]["time"].reverse(), "its times do not increase"),
     ],
 )
 def test_a_damaged_action_is_refused_in_one_line(made, tmp_path, refused, change, words):

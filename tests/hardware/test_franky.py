@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gendom.hardware import streaming, xarm7
 from gendom.hardware.franky import FrankaDriver
 from gendom.hardware.streaming import Streamer
-from gendom.robot import XARM7, tcp_pose
+from gendom.robot import FR3, tcp_pose
 from gendom.tasks import RopeReaching
 from hardware import xarm_box
 
@@ -73,43 +72,18 @@ def play(streamer, motion, also=lambda: None):
         also()
 
 
-def approached(cell, at, path):
-    """How an arm follows a path of the tool over a table, and the way there from joint angles."""
-    cell = replace(cell, table_height=0.0)
-    motion = cell.plan(path, opening=0.016).motion
-    return cell.approach(at, motion.q[0]), motion.shifted(-motion.start)
-
-
-def test_the_same_action_on_both_arms(streamer, monkeypatch):
-    """Rope reaching by the vendors' SDKs on franky-sim and on the loopback xArm, real time there:
-    each tool keeps to the task's path."""
-    pytest.importorskip("xarm", reason="pip install xarm-python-sdk")
-    monkeypatch.setattr(streaming, "BLIND", (0.3, 1.0))
-    monkeypatch.setattr(xarm7, "_QUICK", 1.0)
-    task, ends = RopeReaching(), []
+def test_an_action_on_the_second_arm(streamer):
+    """Rope reaching by Franka's own library: the tool keeps to the task's path."""
+    task = RopeReaching()
     action = task.sample_actions(task.item, np.random.default_rng(3), 1)[0]
     path = task.tool_path(task.item, action).moved(task.T_world_task(task.item))
-
-    def tool(one, way, motion):
-        seen = []
-        play(one, way)
-        play(one, motion, lambda: seen.append(one.report.q))
-        assert one.fault is None
-        line = motion.tcp_at(one.arm, motion.sampled(500.0))[:, :3, 3]
-        points = tcp_pose(one.arm, np.array(seen))[:, :3, 3]
-        assert KDTree(line).query(points)[0].max() < 5e-3
-        return points[-1]
-
-    with xarm_box.Box() as box:
-        here = xarm_box.cell(box.address)
-        moves = approached(here, XARM7.home, path)  # before: reports come to this process
-        driver = xarm_box.Driver(here)
-        driver.connect()
-        ends.append(tool(Streamer(driver, here), *moves))
-        driver.disconnect()
-    at = streamer.driver.report().q  # where the simulation has brought it by now
-    ends.append(tool(streamer, *approached(streamer.cell, at, path)))
-    assert ends[0] == pytest.approx(ends[1], abs=3e-3)
+    over_table = replace(streamer.cell, table_height=0.0)
+    motion, seen = over_table.plan(path, opening=0.016).motion, []
+    play(streamer, over_table.approach(streamer.driver.report().q, motion.q[0]))
+    play(streamer, motion.shifted(-motion.start), lambda: seen.append(streamer.report.q))
+    assert streamer.fault is None
+    line = motion.tcp_at(FR3, motion.sampled(500.0))[:, :3, 3]
+    assert KDTree(line).query(tcp_pose(FR3, np.array(seen))[:, :3, 3])[0].max() < 5e-3
     for opening in (0.05, 0.02):
         streamer.driver.grip(opening)
         assert streamer.driver.report().opening == pytest.approx(opening, abs=5e-3)

@@ -164,6 +164,7 @@ LACKING = [
     (last(lambda m: cloud(1.6, "nowhere", NONE)), {}, f"{NOT_SAID}nowhere is in world"),
     (last(lambda m: cloud(1.5, "camera", NONE, names="xyi")), {}, f"{CLOUD} no 'z'"),
     (last(lambda m: replace(m, data=m.data[:100])), {}, f"{CLOUD} 100 bytes for"),
+    (last(lambda m: replace(m, width=1)), {}, f"{CLOUD} "),  # and more than one point
     (without("/tf_static"), {}, f"{NOT_SAID}camera is in base"),
     (lambda rows: [*rows, ("/tf", tf(0.0, "tool", "base"))], {"world": "camera"}, "TF has a loop"),
 ]

@@ -30,13 +30,12 @@ def post(name, start, end, radius):
 
 
 def test_home_is_free_and_a_folded_arm_is_not():
-    assert CollisionChecker(XARM7, TABLE).at(XARM7.home) is None
-    beside = Surroundings(table_height=0.15)  # higher than the first link begins, which only turns
-    assert CollisionChecker(XARM7, beside).at(XARM7.home) is None
+    for height in (0.0, 0.15):  # higher than the first link begins, which only turns
+        table = Surroundings(table_height=height)
+        assert CollisionChecker(XARM7, table).at(XARM7.home) is None
     bowed = np.array([0.0, 1.5, 0.0, 0.0, 0.0, -0.6, 0.0])  # the hand is where the base is
-    found = CollisionChecker(XARM7).at(bowed)
-    assert found is not None and found.depth > 0.05 and found.time is None
-    assert str(found).startswith("base and link6 column are 107.0 mm too near")
+    found = str(CollisionChecker(XARM7).at(bowed))
+    assert found.startswith("base and link6 column are 107.0 mm too near")
     # the arm does not run into itself
     a = np.array([0.8, 1.9, 2.7, 1.2, -2.4, 0.3, -0.6])
     b = np.array([-1.4, 1.4, -1.6, 0.2, 1.8, -0.6, -2.0])

@@ -275,13 +275,8 @@ def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     assert motion.slowed_by < 1.02
     begins = motion.end - (path.end - path.time[3])
     assert motion.speed_at(begins - 0.5 * path.max_blend - 0.11) == pytest.approx(0.0, abs=1e-4)
-    t = np.arange(begins - 0.1, motion.end, 1e-3)
-    x = motion.tcp_at(XARM7, t)[:, 0, 3]
-    speed = np.diff(x) / 1e-3
-    assert (0.37 if height < 0.2 else 0.499) < speed.max() < 0.501
-    assert np.diff(speed).min() / 1e-3 < -4.0  # [m/s^2]
-    stopping = (t > t[np.argmax(speed)]) & (t < motion.end)
-    use = np.abs(motion.acceleration_at(t[stopping])) / XARM7.max_acceleration
+    stopping = np.arange(motion.end - 1.2, motion.end, 1e-3)
+    use = np.abs(motion.acceleration_at(stopping)) / XARM7.max_acceleration
     assert 0.8 < use.max() < 1.01
 
 

@@ -81,6 +81,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    for stream in ("stdout", "stderr"):
+        if getattr(sys, stream) is None:  # it was closed
+            setattr(sys, stream, io.StringIO())
     if isinstance(sys.stdout, io.TextIOWrapper):
         codecs.register_error("escaped", _escaped)
         sys.stdout.reconfigure(errors="escaped")
@@ -131,8 +134,8 @@ def _run(name: str, words: list[str]) -> int:
         command = parse(import_module(COMMANDS[name][0]).Command, name, words)
     except SystemExit as stop:  # help was printed
         return stop.code if isinstance(stop.code, int) else 2
-    if (seed := getattr(command, "seed", 0)) < 0:
-        raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
+    if not 0 <= (seed := getattr(command, "seed", 0)) < 1 << 63:
+        raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more, below 2^63")
     with escaped() if name != "completion" else nullcontext():
         return command.run()
 

@@ -45,6 +45,11 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         SystemExit: Help was requested and has been printed.
     """
     TYPED[:] = "gendom", name, *words
+    if any(word == "" or re.fullmatch("--[-a-z]+=", word) for word in words):
+        fix = "give it a value; a variable of the shell may be unset"
+        raise ParameterError("one of the words is empty", fix=fix)
+    # shells leave --out=~/a as it is
+    words = [re.sub("^(--[-a-z]+=|)~(?=/|$)", rf"\1{Path.home()}", word) for word in words]
     arguments = arguments_of(command)
     flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
     for word in takewhile(lambda w: w != "--", words):

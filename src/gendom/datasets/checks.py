@@ -160,7 +160,10 @@ def _check_frames(recording: RecordingData) -> Iterator[Fault]:
 def _units(value: float, low: float, high: float, known: Mapping[str, float] = _LENGTHS) -> str:
     """The units in which a too large length or time would lie between two usual ones [m] or [s],
     and what brings these."""
-    units = [unit for unit, factor in known.items() if low <= value / factor <= high] or known
+    units = [unit for unit, factor in known.items() if low <= value / factor <= high]
+    if not units and value > 100.0 * high * max(known.values()):
+        return "it is as large in no unit; look for numbers that are wrong"
+    units = units or known
     factors = " or ".join(f"{known[unit]:g}" for unit in units)
     return f"it looks like {' or '.join(units)}; divide by {factors}"
 

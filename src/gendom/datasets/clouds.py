@@ -12,6 +12,7 @@ from __future__ import annotations
 import codecs
 import os
 import re
+import string
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -109,6 +110,8 @@ class _Element:
     fields: list[tuple[str, str, int]] = field(default_factory=list)
     """Name, NumPy code without the order of bytes, and how many numbers it has."""
     has_list: bool = False
+    ends: bool = True
+    """Nothing comes after it."""
 
     @property
     def numbers(self) -> list[int]:
@@ -168,6 +171,7 @@ def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
     if "vertex" not in names:
         raise _CloudError("has no element 'vertex'")
     elements = elements[: names.index("vertex") + 1]
+    elements[-1].ends = len(elements) == len(names)
     if any(own.has_list for own in elements):
         raise _CloudError("has lists before its vertices or in them, which are not read")
     return encoding, elements, start
@@ -256,9 +260,11 @@ def _begin(last: _Element) -> list[int]:
     return found
 
 
-def _check_length(there: int, needed: int, unit: str) -> None:
+def _check_length(there: int, needed: int, unit: str, beyond: bool = False) -> None:
     if there < needed:
         raise _CloudError(f"is cut short: {there} {unit} where {needed} are announced")
+    if beyond:
+        raise _CloudError(f"holds more than the {needed} {unit} that are announced")
 
 
 def _from_text(data: bytes, at: int, elements: list[_Element]) -> list[np.ndarray]:
@@ -273,9 +279,10 @@ def _from_text(data: bytes, at: int, elements: list[_Element]) -> list[np.ndarra
     stream = chain.from_iterable(map(_floats, _BLOCK.finditer(data, at)))
     try:
         found = np.fromiter(islice(stream, needed), np.float64)
+        beyond = last.ends and next(stream, None) is not None
     except ValueError as fault:
         raise _CloudError(f"has a coordinate that is no number ({fault})") from None
-    _check_length(len(found), needed, "numbers")
+    _check_length(len(found), needed, "numbers", beyond)
     table = found[before:].reshape(last.count, width)
     with np.errstate(over="ignore", invalid="ignore"):
         return [table[:, sum(last.numbers[:k])].astype(last.fields[k][1]) for k in places]
@@ -296,7 +303,9 @@ def _from_bytes(data: bytes, at: int, elements: list[_Element], order: str) -> l
     *before, last = elements
     places, sizes = _begin(last), last.sizes
     at += sum(own.count * sum(own.sizes) for own in before)
-    _check_length(len(data), at + last.count * sum(sizes), "bytes")
+    end = at + last.count * sum(sizes)
+    beyond = last.ends and bool(data[end:].strip(b"\0" + string.whitespace.encode()))
+    _check_length(len(data), end, "bytes", beyond)
     if last.count == 0:
         return [np.empty(0, last.fields[k][1]) for k in places]
     step = (sum(sizes),)

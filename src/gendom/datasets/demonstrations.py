@@ -160,6 +160,8 @@ def generate(
         shard_size = int(read_description(folder)["shard_size"]) if begun else usual
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
         require(value >= least, f"is {value}", where=name, fix=f"give {least} or more")
+    most = MOST_SHARDS * shard_size
+    require(size <= most, f"is {size}", where="size", fix=f"give {most} at most")
     description = {"format": FORMAT, "gendom": __version__, **source.about(), "size": size}
     # rounding differs between CPU and CUDA, not between two cards
     description |= {"seed": seed, "shard_size": shard_size, "device": kind}

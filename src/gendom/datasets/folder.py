@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from decimal import Decimal
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,10 @@ def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
         ordered = sorted(names, key=lambda name: (_name_key(pattern, name), name))
         found.append((ordered, *_misfit(_numbers_of(pattern, ordered), time)))
     (decimal, as_times, evenly), (parts, _, counted) = found
+    for one, other in pairwise(parts):
+        alike = all(_name_key(of, one) == _name_key(of, other) for of in (_DECIMAL, _PARTS))
+        fix = "number the clouds in order of time, each once"
+        wanted(not alike, f"{one!r} and {other!r} are the same number", where, fix)
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
     if decimal != parts:
         what = "names can be put in two orders, and the times of gripper.csv fit neither"
