@@ -31,12 +31,17 @@ template <typename real> struct several { typedef real lanes; };
 
 #else
 
+#if defined(__AVX512F__)
+#define LANE_BYTES 64
+#else
+#define LANE_BYTES 32
+#endif
 template <typename real> struct several;
 template <> struct several<float> {
-    typedef float lanes __attribute__((ext_vector_type(8)));
+    typedef float lanes __attribute__((ext_vector_type(LANE_BYTES / 4)));
 };
 template <> struct several<double> {
-    typedef double lanes __attribute__((ext_vector_type(4)));
+    typedef double lanes __attribute__((ext_vector_type(LANE_BYTES / 8)));
 };
 template <> struct number_of<several<float>::lanes> { typedef float type; };
 template <> struct number_of<several<double>::lanes> { typedef double type; };
