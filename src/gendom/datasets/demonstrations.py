@@ -16,7 +16,6 @@ shards can be simulated in any order, on any machine, and a set can be continued
 from __future__ import annotations
 
 import functools
-import gc
 import hashlib
 import json
 import logging
@@ -164,12 +163,8 @@ def generate(
     # rounding differs between CPU and CUDA, not between two cards
     description |= {"seed": seed, "shard_size": shard_size, "device": kind}
     _check_same(folder, description)
-    gc.freeze()  # visiting all that was imported would take a quarter of the time
-    try:
-        with _alone(folder):
-            _complete(source, folder, description, device, kind, cluster, progress)
-    finally:
-        gc.unfreeze()
+    with _alone(folder):
+        _complete(source, folder, description, device, kind, cluster, progress)
     return load(folder)
 
 
@@ -263,10 +258,8 @@ def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
     """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
         return min(shard_size, max(16, left // 16))
-    together, fewest = shard_size, 2 * _FEWEST_TOGETHER
-    while devices > 1 and together >= fewest and left < _PARTS_PER_DEVICE * devices * together:
-        together = -(-together // 2)
-    return together
+    parts = 1 if devices == 1 else _PARTS_PER_DEVICE * devices
+    return min(shard_size, max(_FEWEST_TOGETHER, -(-left // parts)))
 
 
 class _StoppedError(Exception):

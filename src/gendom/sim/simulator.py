@@ -90,8 +90,7 @@ class Simulator(Shown):
         thin, W = engine_of(body, solver) == "thin", len(materials)
         every, hands = of_worlds("obstacles", obstacles, Obstacle, W), hands_of_worlds(grippers, W)
         rest = body.points if thin else body.x
-        meets, near = any(map(len, every)), table is not None or physics.self_contact
-        _check_fits(body, len(rest), thin, materials, meets, near, variation)
+        _check_fits(body, len(rest), thin, materials, any(map(len, every)), variation)
         x = rest if positions is None else positions
         x = check_numbers("positions", x, rest.shape, ("W", *rest.shape))
         section, unit = (1, body.thickness) if thin else (body.section, body.dx)
@@ -277,24 +276,22 @@ def engine_of(body: Body, solver: Solver) -> str:
 
 
 def _check_fits(
-    body: Body, N: int, thin: bool, materials: Sequence[Material], meets: bool, near: bool,
+    body: Body, N: int, thin: bool, materials: Sequence[Material], meets: bool,
     variation: Variation,
 ) -> None:  # fmt: skip
-    """Check that a body of N particles or points has what only some bodies may have;
-    ``near``: a table or itself."""
+    """Check that a body of N particles or points has what only some bodies may have."""
     require(N, "cloths with an outline are shells, not particles", fix="engine='thin'")
     variation.check(N)
     rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
     membrane = any(m.membrane is not None for m in materials)
     threads = any(m.has_threads for m in materials)
-    lone = "rods that meet nothing differ in their diameter"
     for where, given, allowed, only in (
         ("materials", membrane, thin, "rods and shells have a modulus of their own along them"),
         ("materials", threads, shell, f"shells have threads ({', '.join(WEAVE)})"),
         ("mass", None, thin, "rods and shells have points of other masses"),
         ("natural_curvature", None, rod, "rods may begin with stress"),
         ("stretch", None, rod, "rods may be longer than at rest"),
-        ("diameter", variation.diameter is not None, rod and not (meets or near), lone),
+        ("diameter", variation.diameter is not None, rod, "rods differ in their diameter"),
         ("obstacles", meets, thin, "rods and shells meet obstacles"),
     ):
         if given is None:

@@ -166,12 +166,10 @@ class Simulation:
         scene = task.scene(items[0] if items else task.item)
         meets = scene.table is not None or scene.self_contact
         alone = self.engine == "thin" and task.kind == "rope" and not meets
-        groups: dict[Any, list[int]] = {}
-        for w, item in enumerate(items):
-            key = (size_of(item), 0.0 if alone else thickness_of(item))
-            groups.setdefault(key, []).append(w)
+        keys = [(size_of(item), 0.0 if alone else thickness_of(item)) for item in items]
         speed = np.array([item.material.wave_speed for item in items])
-        return [np.array(g)[np.argsort(-speed[g], kind="stable")] for g in groups.values()]
+        groups = [np.flatnonzero([k == key for k in keys]) for key in dict.fromkeys(keys)]
+        return [group[np.argsort(-speed[group], kind="stable")] for group in groups]
 
     def _side_by_side(
         self,
@@ -273,8 +271,6 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
         "hold_from": hold_from,
         "hold_until": hold_until,
         "radius": np.full((W, tools), scene.grip),
-        "turns": np.zeros((W, tools)),
-        "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, tools, K, 1)),
     }
     if scene.stand > 0.0:
         still = Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand)

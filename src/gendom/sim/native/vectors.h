@@ -36,12 +36,8 @@ template <typename real> struct several { typedef real lanes; };
 #else
 #define LANE_BYTES 32
 #endif
-template <typename real> struct several;
-template <> struct several<float> {
-    typedef float lanes __attribute__((ext_vector_type(LANE_BYTES / 4)));
-};
-template <> struct several<double> {
-    typedef double lanes __attribute__((ext_vector_type(LANE_BYTES / 8)));
+template <typename real> struct several {
+    typedef real lanes __attribute__((ext_vector_type(LANE_BYTES / sizeof(real))));
 };
 template <> struct number_of<several<float>::lanes> { typedef float type; };
 template <> struct number_of<several<double>::lanes> { typedef double type; };

@@ -71,7 +71,9 @@ class RodModel:
             "rod",
             fix="give metres, or engine='mpm'",
         )
-        own = setting.variation.diameter
+        own, meets = setting.variation.diameter, setting.self_contact or any(setting.obstacles)
+        lone = own is None or not (meets or setting.table)
+        require(lone, "only rods that meet nothing differ in that", where="diameter")
         self.thickness = spread(diameter if own is None else own, (W,), "diameter")[:, None]
         """[W, 1] diameters [m]."""
         self.widest = float(length.max())
