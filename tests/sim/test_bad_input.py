@@ -197,6 +197,8 @@ UNFIT = [
             (cloth(**SHEET), "thin", {"natural_curvature": 0.0},
                 "natural_curvature: only rods may begin"),
             (cloth(**SHEET), "thin", {"stretch": 1.01}, "stretch: only rods may be longer"),
+            (ROPE, "thin", {"diameter": [0.01], "table": Table(height=-1.0)},
+                "diameter: only rods that meet nothing differ"),
         )],
     (Simulator, {**MEETS, "obstacles": [BALL], "solver": Solver(engine="mpm")},
         "only rods and shells meet obstacles, not a rope of the mpm engine"),

@@ -10,6 +10,7 @@ interrupted.
 from __future__ import annotations
 
 import codecs
+import gc
 import io
 import json
 import logging
@@ -80,6 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    gc.set_threshold(100_000)  # most objects live on: looking for cycles took a twentieth and more
     words = list(sys.argv[1:] if argv is None else argv)
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # it was closed

@@ -16,7 +16,6 @@ shards can be simulated in any order, on any machine, and a set can be continued
 from __future__ import annotations
 
 import functools
-import gc
 import hashlib
 import json
 import logging
@@ -52,7 +51,7 @@ FORMAT = "gendom-demonstrations/2"
 GOAL = "goal_"
 """Prefix of columns of goals."""
 
-SHARD_SIZE = {"cpu": 256, "cuda": 4096}
+SHARD_SIZE = {"cpu": 1024, "cuda": 4096}
 """Default numbers of demonstrations in a shard, of cost 1."""
 
 _DESCRIPTION, _LOCK = "dataset.json", ".lock"
@@ -166,12 +165,8 @@ def generate(
     # rounding differs between CPU and CUDA, not between two cards
     description |= {"seed": seed, "shard_size": shard_size, "device": kind}
     _check_same(folder, description)
-    gc.freeze()  # visiting all that was imported would take a quarter of the time
-    try:
-        with _alone(folder):
-            _complete(source, folder, description, device, kind, cluster, progress)
-    finally:
-        gc.unfreeze()
+    with _alone(folder):
+        _complete(source, folder, description, device, kind, cluster, progress)
     return load(folder)
 
 
@@ -264,11 +259,9 @@ def _alone(folder: Path) -> Iterator[None]:
 def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
     """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
-        return min(shard_size, max(16, left // 16))  # those of one thickness are simulated at once
-    together, fewest = shard_size, 2 * _FEWEST_TOGETHER
-    while devices > 1 and together >= fewest and left < _PARTS_PER_DEVICE * devices * together:
-        together = -(-together // 2)
-    return together
+        return min(shard_size, max(16, left // 16))
+    parts = 1 if devices == 1 else _PARTS_PER_DEVICE * devices
+    return min(shard_size, max(_FEWEST_TOGETHER, -(-left // parts)))
 
 
 class _StoppedError(Exception):
@@ -283,7 +276,7 @@ def _on_devices(
         for job in jobs:
             yield job, simulate(job, device=devices[0])
         return
-    if len(devices) == 1 and hasattr(os, "fork") and "warp" not in sys.modules:
+    if len(devices) == 1 and hasattr(os, "sched_getaffinity") and "warp" not in sys.modules:
         yield from _on_one_gpu(simulate, jobs, devices[0])
         return
     free: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -317,7 +310,8 @@ def _on_one_gpu(
     simulate: Callable[..., dict[str, Any]], jobs: list[range], device: str
 ) -> Iterator[tuple[range, dict[str, Any]]]:
     """The same in processes that share a GPU: branches of this one, which has not opened it."""
-    hosts, fork = min(_HOSTS, len(jobs), os.cpu_count() or 1), multiprocessing.get_context("fork")
+    hosts = min(_HOSTS, len(jobs), len(os.sched_getaffinity(0)))
+    fork = multiprocessing.get_context("fork")
     silent = signal.SIGINT, signal.SIG_IGN  # an interrupt is the parent's
     _forked["simulate"] = simulate
     with ProcessPoolExecutor(hosts, fork, signal.signal, silent) as pool:

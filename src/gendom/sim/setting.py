@@ -76,6 +76,8 @@ class Variation:
     straight by nature."""
     stretch: ArrayLike = 1.0
     """Length of a rod's edges over that in the body, one number or [W] [-]."""
+    diameter: ArrayLike | None = None
+    """Of rods that meet nothing, [W] [m]; None: that of the body."""
 
     def check(self, points: int) -> None:
         """Check shapes and ranges for a body of so many particles or points.
@@ -88,6 +90,8 @@ class Variation:
             check_numbers(name, getattr(self, name), *shapes, above=0.0)
         check_numbers("natural_curvature", self.natural_curvature, (), ("W",))
         check_numbers("stretch", self.stretch, (), ("W",), above=0.0)
+        if self.diameter is not None:
+            check_numbers("diameter", self.diameter, ("W",), above=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

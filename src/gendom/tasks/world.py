@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.materials import AIR_DENSITY, Item, Rope
+from gendom.materials import AIR_DENSITY, Item, Rope, size_of, thickness_of
 from gendom.robot.path import TcpPath, TcpPaths
-from gendom.sim import Body, Gripper, Grippers, Physics, Solver, Table, cloth, rope
+from gendom.sim import Body, Gripper, Grippers, Physics, Solver, Table, Variation, cloth, rope
 from gendom.sim.bodies import CELLS_ACROSS
 from gendom.tasks.task import Observed, Outcome, Scene, Task
 
@@ -75,7 +75,7 @@ class Simulation:
         """
         wanted = check_actions(task, items, actions)
         found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
-        groups = _groups_of_one_size(items)
+        groups = self._groups(task, items)
         if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
             what = "layers of cloth that touch stick to each other in the MPM; engine 'thin' keeps"
             _log.warning("%s: %s them apart", task.name, what)
@@ -118,7 +118,7 @@ class Simulation:
 
         scene = task.scene(items[0])
         body, x = self.body(task, items[0])
-        friction = np.array([item.friction for item in items])
+        friction, thick = np.array([(item.friction, thickness_of(item)) for item in items]).T
         simulator = Simulator(
             body,
             [item.material for item in items],
@@ -126,6 +126,7 @@ class Simulation:
             table=None if scene.table is None else Table(height=scene.table, friction=friction),
             positions=x,
             start_time=begin,
+            variation=Variation(diameter=thick if thick.min() < thick.max() else None),
             physics=Physics(
                 air_density=self.air_density,
                 self_contact=scene.self_contact and self.engine == "thin",
@@ -157,6 +158,18 @@ class Simulation:
         x = body.points if self.engine == "thin" else body.x
         axes = (along, across, np.cross(along, across))
         return body, origin + sum(x[:, k, None] * axis for k, axis in enumerate(axes))
+
+    def _groups(self, task: Task, items: Sequence[Item]) -> list[NDArray[np.intp]]:
+        """Indices of objects that can be simulated side by side: of one size, and of one thickness
+        unless they are rods that meet nothing. Those of like stiffness stand beside each other: a
+        batch takes as long as its stiffest."""
+        scene = task.scene(items[0] if items else task.item)
+        meets = scene.table is not None or scene.self_contact
+        alone = self.engine == "thin" and task.kind == "rope" and not meets
+        keys = [(size_of(item), 0.0 if alone else thickness_of(item)) for item in items]
+        speed = np.array([item.material.wave_speed for item in items])
+        groups = [np.flatnonzero([k == key for k in keys]) for key in dict.fromkeys(keys)]
+        return [group[np.argsort(-speed[group], kind="stable")] for group in groups]
 
     def _side_by_side(
         self,
@@ -258,8 +271,6 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
         "hold_from": hold_from,
         "hold_until": hold_until,
         "radius": np.full((W, tools), scene.grip),
-        "turns": np.zeros((W, tools)),
-        "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, tools, K, 1)),
     }
     if scene.stand > 0.0:
         still = Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand)
@@ -299,15 +310,3 @@ def _lattice(body: Body, points: int) -> tuple[int, int]:
 
 def _count_along(body: Body, axis: int) -> int:
     return np.unique(body.material_coordinates[:, axis]).size
-
-
-def _groups_of_one_size(items: Sequence[Item]) -> list[NDArray[np.intp]]:
-    """Indices of objects of one size, those of like stiffness beside each other: a batch takes as
-    long as its stiffest."""
-    keys = [(item.kind, *(getattr(item, name) for name in item.sizes)) for item in items]
-    speed = np.array([item.material.wave_speed for item in items])
-    groups = []
-    for key in dict.fromkeys(keys):
-        group = np.flatnonzero([k == key for k in keys])
-        groups.append(group[np.argsort(-speed[group], kind="stable")])
-    return groups

@@ -31,12 +31,13 @@ template <typename real> struct several { typedef real lanes; };
 
 #else
 
-template <typename real> struct several;
-template <> struct several<float> {
-    typedef float lanes __attribute__((ext_vector_type(8)));
-};
-template <> struct several<double> {
-    typedef double lanes __attribute__((ext_vector_type(4)));
+#if defined(__AVX512F__)
+#define LANE_BYTES 64
+#else
+#define LANE_BYTES 32
+#endif
+template <typename real> struct several {
+    typedef real lanes __attribute__((ext_vector_type(LANE_BYTES / sizeof(real))));
 };
 template <> struct number_of<several<float>::lanes> { typedef float type; };
 template <> struct number_of<several<double>::lanes> { typedef double type; };

@@ -29,8 +29,8 @@ from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
 SHORTEST_SUBSTEP = 1e-9
 """Below, the steps of two seconds outnumber their counter of 32 bits [s]."""
 
-GROUP = 16
-"""Maximum number of worlds that a CPU thread simulates at a time."""
+GROUP, SHARES = 16, 32
+"""Maximum number of worlds that a CPU thread simulates at a time, of many a share of all."""
 
 
 class ThinEngine(Engine):
@@ -218,17 +218,20 @@ class ThinEngine(Engine):
         """Errors of worlds [k] that grippers will pull apart in the pieces from ``at`` to ``until``
         [k], which then ends before that."""
         some = np.flatnonzero(until > at)
-        w, ends = worlds[some], plan.begins + (plan.done + plan.steps) * plan.dt
-        times = plan.time(w, at[some]), ends[w, until[some] - 1]
+        w, last = worlds[some], until[some] - 1
+        ends = plan.begins[w] + (plan.done[w] + plan.steps[w]) * plan.dt[w]
+        times = plan.time(w, at[some]), ends[np.arange(len(w)), last]
         errors = self.ties.broken(self.paths, w, *times) if self.ties else {}
-        for k in np.flatnonzero(np.isin(worlds, list(errors))).tolist():
-            pieces = ends[worlds[k], at[k] : until[k]]
+        for row in np.flatnonzero(np.isin(w, list(errors))).tolist():
+            k = some[row]
+            pieces = ends[row, at[k] : until[k]]
             until[k] = at[k] + np.count_nonzero(pieces <= float(errors[int(worlds[k])].time or 0.0))
         return errors
 
     def groups(self, most: int = GROUP, least: int = 1) -> list[slice]:
         """Groups of worlds, at least and at most so many, that are launched together."""
         W = self.num_worlds
+        most = max(most, W // SHARES)
         size = W if self.threads > 1 else max(least, min(most, -(-W // self.setting.threads)))
         return [slice(first, min(first + size, W)) for first in range(0, W, size)]
 

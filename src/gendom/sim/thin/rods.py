@@ -71,11 +71,16 @@ class RodModel:
             "rod",
             fix="give metres, or engine='mpm'",
         )
+        own, meets = setting.variation.diameter, setting.self_contact or any(setting.obstacles)
+        lone = own is None or not (meets or setting.table)
+        require(lone, "only rods that meet nothing differ in that", where="diameter")
+        self.thickness = spread(diameter if own is None else own, (W,), "diameter")[:, None]
+        """[W, 1] diameters [m]."""
         self.widest = float(length.max())
         """Largest distance between neighbouring points [m]."""
         self.apart = 2 + int(np.ceil(diameter / length.min()))
         """Smallest number of points along the rod between parts that can be in self-contact."""
-        self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
+        self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 16) * 16 + MARGIN
         """[n] positions of points in a row, and how long that is."""
         first = Rotation.from_matrix(fixed_frame(step[0]).T).as_quat()
         self.rest_q = rotation.transported(first, step)
@@ -97,7 +102,7 @@ class RodModel:
         self.shares[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
         joints = 0.5 * (length[:-1] + length[1:])
         self.shares[:, 3:, 1:-1] = (share[:, 1:-1] / joints)[:, None]
-        own = self.coefficients(parameters_of(diameter, materials))
+        own = self.coefficients(parameters_of(self.thickness, materials))
         self.stiffness, self.mass, self.inertia, self.drag = own
         self.per_turn = np.zeros((W, n))
         """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where there are none."""
@@ -142,7 +147,7 @@ class RodModel:
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
         [W, 6, n]."""
-        bar = stiffness_bar * _moduli(parameters_of(self.diameter, self.materials))[:, :, None]
+        bar = stiffness_bar * _moduli(parameters_of(self.thickness, self.materials))[:, :, None]
         edges, joints = bar[:, :3, :-1].sum(axis=1), bar[:, 3:, 1:-1].sum(axis=1)
         found = np.zeros((len(bar), bar.shape[2]))
         found[:, :-1] += 0.5 * edges

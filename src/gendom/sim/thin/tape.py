@@ -189,7 +189,7 @@ class ThinTape:
         derivatives of real functions".
         """
         e, m, h = self.engine, self.model_bar, 1e-30
-        p = types.parameters_of(e.setting.body.thickness, e.setting.materials)
+        p = types.parameters_of(e.model.thickness, e.setting.materials)
         slopes = e.model.coefficients(p | {name: p[name] + 1j * h})
         stiffness, mass, inertia, drag = (np.imag(values) / h for values in slopes)
         found = np.sum(m[:, : stiffness.shape[1]] * stiffness, axis=1)

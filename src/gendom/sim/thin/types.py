@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gendom.arrays import Array
 from gendom.materials import Material
@@ -62,7 +62,7 @@ class Coefficients(NamedTuple):
     """[W, n] of points over the density of the air."""
 
 
-def parameters_of(thickness: float, materials: Sequence[Material]) -> dict[str, Array]:
+def parameters_of(thickness: ArrayLike, materials: Sequence[Material]) -> dict[str, Array]:
     """[W, 1] parameters that ``coefficients`` of a model follow from, by name; a ``membrane`` that
     is not a number is that of E."""
     names = ("E", "nu", "density", *OF_THIN)
