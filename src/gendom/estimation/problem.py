@@ -113,8 +113,8 @@ class Start:
     """Whether they are its own."""
     precise: bool = True
     """Whether they are to be taken with all points."""
-    coarse: bool = False
-    """Whether it was compared in a coarse problem."""
+    coarse: bool = True
+    """Whether it has been compared in a coarse problem at most."""
 
 
 @dataclass(frozen=True, kw_only=True)

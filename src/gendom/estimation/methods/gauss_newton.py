@@ -186,8 +186,6 @@ class Descent:
     def search(self, starts: Sequence[Start], most: int) -> int:
         """Steps of all starts, in a share of so many iterations. Returns their number."""
         late, iteration = 0, 0
-        for start in starts:
-            start.coarse = True
         while iteration < max(1, round(COARSE_SHARE * most)):
             going = [s for s in starts if not s.done]
             if not going or late == PATIENCE:
@@ -268,7 +266,7 @@ class Descent:
             vector = best.vector + share * covariance[k]
             vector[k] = best.vector[k] + way
             if (prior.clipped(vector) == vector).all():
-                found.append(Start(initial=vector, vector=vector, coarse=True))
+                found.append(Start(initial=vector, vector=vector))
         return found
 
     def jump(self, start: Start) -> bool:

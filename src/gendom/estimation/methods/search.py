@@ -40,15 +40,14 @@ def first_starts(
                 return first_starts(finer, scanned)
             found = _scanned_about(problem.coarse, k, scan[1] - scan[0], found[0])
             return problem, [Start(initial=v, vector=v) for v in found[: problem.settings.starts]]
-    starts = [Start(initial=found[0], vector=found[0])]
-    while len(starts) < problem.settings.starts:
+    begins = found[:1]
+    while len(begins) < problem.settings.starts:
         drawn = prior.mean + prior.sd * np.sign(prior.step) * rng.standard_normal(len(middle))
         if k is not None:
             # one of the better half of the scan: beyond, shapes hardly depend on the modulus
             drawn[k] = found[rng.integers(1, max(2, len(found) // 2))][k]
-        drawn = prior.clipped(drawn)
-        starts.append(Start(initial=drawn, vector=drawn))
-    return problem, starts
+        begins.append(prior.clipped(drawn))
+    return problem, [Start(initial=v, vector=v) for v in begins]
 
 
 def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
