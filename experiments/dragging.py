@@ -3,7 +3,7 @@
     python experiments/dragging.py --device cuda --seconds 400 --out motions.json
 
 Each family is a range of bending lengths. In every generation its motions are tried with the same
-newly drawn cloths, whose friction, air, hold and lattice vary; what counts is how much lies spread
+newly drawn cloths, whose friction, air and hold vary; what counts is how much lies spread
 and whether that is enough. All families are searched side by side. The evolution strategy is that
 of Hansen (2016), "The CMA evolution strategy: a tutorial".
 """
@@ -39,8 +39,8 @@ START = (0.47, 0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.
 SIGMA = 0.15
 """Of the first generation [of the limits' width]."""
 
-LATTICES, AIR = (1.0, 1.0, 1.2), (0.0, 1.2)
-"""Cells across, and densities of the air [kg/m^3], of the generations."""
+AIR = (0.0, 1.2)
+"""Densities of the air [kg/m^3] of the generations."""
 
 ENOUGH, SOFT = 0.75, 0.12
 """Share that is asked for, and over how much of it a motion counts as nearly enough."""
@@ -151,11 +151,7 @@ def search(
     kept: list[list[tuple[float, list[float]]]] = [[] for _ in families]
     while time.monotonic() - began < seconds and generation < generations:
         rng = np.random.default_rng([seed, generation])
-        world = replace(
-            simulation,
-            cells_across=float(rng.choice(LATTICES)),
-            air_density=float(rng.choice(AIR)),
-        )
+        world = replace(simulation, air_density=float(rng.choice(AIR)))
         held = tuple(np.array(OFF_CENTRE) + rng.uniform(-0.01, 0.01, 2))
         own = replace(task, off_centre=held)
         asked = [run.ask() for run in runs]
