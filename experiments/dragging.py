@@ -2,10 +2,10 @@
 
     python experiments/dragging.py --device cuda --seconds 400 --out motions.json
 
-Each family is a range of bending lengths. In every generation its motions are tried with the same
-newly drawn cloths, whose friction, air, hold and lattice vary; what counts is how much lies spread
-and whether that is enough. All families are searched side by side. The evolution strategy is that
-of Hansen (2016), "The CMA evolution strategy: a tutorial".
+Each family is a range of bending lengths and friction. In every generation its motions are tried
+with the same newly drawn cloths, in air or without, held a little elsewhere; what counts is how
+much lies spread and whether that is enough. All families are searched side by side. The evolution
+strategy is that of Hansen (2016), "The CMA evolution strategy: a tutorial".
 """
 
 from __future__ import annotations
@@ -29,8 +29,16 @@ from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 
-FAMILIES = ((0.05, 0.064), (0.064, 0.082), (0.082, 0.11), (0.11, 0.17))
-"""Bending lengths [sides]."""
+Family = tuple[float, float, float, float]
+"""Lowest and highest bending length [sides] and friction."""
+
+FAMILIES: tuple[Family, ...] = (
+    (0.05, 0.064, 0.3, 0.5),
+    (0.05, 0.064, 0.5, 0.8),
+    (0.064, 0.082, 0.3, 0.5),
+    (0.064, 0.082, 0.5, 0.8),
+)
+"""Those that few motions open: friction opens smooth limp cloths and keeps rough ones shut."""
 
 START = (0.47, 0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.9, 0.0, 0.02, 1.6,
          2.0, 0.0, 1.0)  # fmt: skip
@@ -39,8 +47,8 @@ START = (0.47, 0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.
 SIGMA = 0.15
 """Of the first generation [of the limits' width]."""
 
-LATTICES, AIR = (1.0, 1.0, 1.2), (0.0, 1.2)
-"""Cells across, and densities of the air [kg/m^3], of the generations."""
+AIR = (0.0, 1.2)
+"""Densities of the air [kg/m^3] of the generations."""
 
 ENOUGH, SOFT = 0.75, 0.12
 """Share that is asked for, and over how much of it a motion counts as nearly enough."""
@@ -105,12 +113,14 @@ class Evolution:
         self.sigma *= math.exp(min(0.3, self.c_sigma / self.damping * (size / self.norm - 1)))
 
 
-def drawn(count: int, low: float, high: float, seed: Sequence[int]) -> list[Item]:
-    """Cloths whose bending length lies in a range [sides]."""
+def drawn(count: int, family: Family, seed: Sequence[int]) -> list[Item]:
+    """Cloths of a family."""
+    limpest, stiffest, smoothest, roughest = family
     task, rng, found = ClothDragging(), np.random.default_rng(seed), []
     while len(found) < count:
         item = task.draw_item(rng)
-        if low <= dimensionless_parameters(item)["bending_ratio"] < high:
+        bends = dimensionless_parameters(item)["bending_ratio"]
+        if limpest <= bends < stiffest and smoothest <= item.friction < roughest:
             found.append(item)
     return found
 
@@ -128,7 +138,7 @@ def worth(share: Array) -> Array:
 
 def search(
     simulation: Simulation,
-    families: Sequence[tuple[float, float]],
+    families: Sequence[Family],
     *,
     seconds: float,
     population: int,
@@ -151,17 +161,13 @@ def search(
     kept: list[list[tuple[float, list[float]]]] = [[] for _ in families]
     while time.monotonic() - began < seconds and generation < generations:
         rng = np.random.default_rng([seed, generation])
-        world = replace(
-            simulation,
-            cells_across=float(rng.choice(LATTICES)),
-            air_density=float(rng.choice(AIR)),
-        )
+        world = replace(simulation, air_density=float(rng.choice(AIR)))
         held = tuple(np.array(OFF_CENTRE) + rng.uniform(-0.01, 0.01, 2))
         own = replace(task, off_centre=held)
         asked = [run.ask() for run in runs]
         items, actions = [], []
         for k, points in enumerate(asked):
-            some = drawn(cloths, *families[k], seed=[seed, generation, k])
+            some = drawn(cloths, families[k], seed=[seed, generation, k])
             for p in points:
                 motion = task.nearest(task.item, (low + (high - low) * p) * units)
                 items += some
@@ -189,12 +195,12 @@ def search(
 
 
 def judged(
-    world: World, motions: Array, families: Sequence[tuple[float, float]], count: int, seed: int
+    world: World, motions: Array, families: Sequence[Family], count: int, seed: int
 ) -> Array:
     """[F, M, count] shares of M motions [M, N] (units of similarity) with new cloths."""
     task = ClothDragging()
     units = task.action_units(task.item)
-    items = [i for k, f in enumerate(families) for i in drawn(count, *f, seed=[seed, 977, k])]
+    items = [i for k, f in enumerate(families) for i in drawn(count, f, seed=[seed, 977, k])]
     every = [i for i in items for _ in motions]
     actions = np.tile([task.nearest(task.item, m * units) for m in motions], (len(items), 1))
     found = shares(world, task, every, actions).reshape(len(families), count, len(motions))

@@ -14,7 +14,7 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 from experiments import cloth_real as module
 from experiments import real2sim
 from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
-from experiments.dragging import START, judged, search
+from experiments.dragging import START, drawn, judged, search
 from experiments.runs import Runs
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation import Verdict
@@ -114,8 +114,15 @@ class Dragged(Simulation):
         return [Outcome(values={"share": s}) for s in 1.0 - np.abs(last - 12.0 * ratio)]
 
 
+def test_cloths_of_a_family_are_as_limp_and_as_rough():
+    cloths = drawn(20, (0.06, 0.08, 0.5, 0.7), seed=[3])
+    ratio = [dimensionless_parameters(c)["bending_ratio"] for c in cloths]
+    assert 0.06 <= min(ratio) and max(ratio) < 0.08
+    assert all(0.5 <= c.friction < 0.7 for c in cloths)
+
+
 def test_a_search_leads_each_family_to_a_better_motion():
-    families = ((0.06, 0.09), (0.12, 0.17))
+    families = ((0.06, 0.09, 0.3, 0.8), (0.12, 0.17, 0.3, 0.8))
     found = search(
         Dragged(), families, seconds=60.0, population=8, cloths=1, seed=0, generations=15,
         start=[np.array(START)] * 2,

@@ -74,7 +74,7 @@ MOTIONS = (
      0.0748, 0.0, 2.5672, 2.6, 0.4068, 0.0, 4.0, 2.6, 0.4068, 1.0),
 )  # fmt: skip
 """Numbers of actions, by `NAMES`, that spread many cloths [sides], [sqrt(L / g)]: found by CMA-ES
-for cloths of unlike stiffness, friction, air, hold and lattice (experiments/dragging.py)."""
+for cloths of unlike stiffness, friction, air and hold (experiments/dragging.py)."""
 
 
 @dataclass(frozen=True, kw_only=True)
