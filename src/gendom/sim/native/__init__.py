@@ -32,5 +32,5 @@ def module_options(package: str, *headers: str) -> dict[str, Any]:
             extra_cpu_preamble=text, extra_cuda_preamble=text
         ),
         "cpu_compiler_flags": f"{wp.config.cpu_compiler_flags or '-march=native'}"
-        " -mprefer-vector-width=512 -ffp-contract=fast -fno-signed-zeros",
+        " -ffp-contract=fast -fno-signed-zeros",
     }
