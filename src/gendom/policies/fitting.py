@@ -322,7 +322,7 @@ def descend(
         optimizer, rate, total_steps=epochs * steps + 1, pct_start=0.1, cycle_momentum=False
     )
     for epoch in range(1, epochs + 1):
-        total = 0.0
+        total = torch.zeros(())
         for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
             loss = loss_of(part)
             optimizer.zero_grad()
@@ -330,10 +330,11 @@ def descend(
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             schedule.step()
-            total += loss.item() / steps
+            total = total + loss.detach() / steps
         what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
-        require(np.isfinite(total), what, fix=fix, error=PolicyError)
-        on_epoch(epoch, total)
+        mean = total.item()  # waits for the device
+        require(math.isfinite(mean), what, fix=fix, error=PolicyError)
+        on_epoch(epoch, mean)
 
 
 def _chosen(rows: Tensor, only: Tensor | None) -> Tensor:
@@ -369,10 +370,11 @@ def rms(error: Tensor) -> float:
 
 
 @contextmanager
-def reproducible(seed: int) -> Iterator[None]:
-    """Seeded torch on one thread, which is fastest for small networks; all put back after."""
+def reproducible(seed: int, device: str = "cpu") -> Iterator[None]:
+    """Seeded torch on a device, and on one thread, which is fastest for small networks; all put
+    back after."""
     threads = torch.get_num_threads()
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[device] if device != "cpu" else []), torch.device(device):
         torch.manual_seed(seed)
         torch.set_num_threads(1)
         try:

@@ -78,7 +78,7 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     require(G, what, where="method", fix=fix, error=PolicyError)
     outputs, target = list(problem.goals), problem.goal
     if problem.log_risk is not None:
-        outputs.append(standardised("risk", problem.log_risk.numpy()[:, 0].astype(float)))
+        outputs.append(standardised("risk", problem.log_risk.cpu().numpy()[:, 0].astype(float)))
         target = torch.cat([problem.goal, problem.log_risk], dim=1)
     model = PhysicalNetwork(
         [*problem.actions, *problem.parameters.values()], outputs, training.architecture

@@ -78,7 +78,7 @@ def refine(problem: TrainingProblem, task: Task, world: World) -> dict[str, floa
     training, G = problem.training, len(problem.goals)
     rng = np.random.default_rng([training.seed, training.refine])
     within = problem.trained[problem.within[problem.trained]]
-    cases = (within if len(within) else problem.trained).numpy()
+    cases = (within if len(within) else problem.trained).cpu().numpy()
     rounds: list[dict[str, Tensor]] = []
     misses = []
     for k in range(1, training.refine + 1):
@@ -134,10 +134,10 @@ def _models(
         [M, R, A] and counts [M, R], 1 where a residual counts, else 0; in units of similarity.
     """
     with torch.no_grad():
-        asked = problem.act(torch.as_tensor(rows)).double().numpy()
+        asked = problem.act(torch.as_tensor(rows)).double().cpu().numpy()
+    given = torch.cat([problem.data[n][rows] for n in PARAMETERS], dim=1).tolist()
     items = [
-        with_dimensionless(task.item, {n: float(problem.data[n][row, 0]) for n in PARAMETERS})
-        for row in rows
+        with_dimensionless(task.item, dict(zip(PARAMETERS, row, strict=True))) for row in given
     ]
 
     def allowed(points: Array) -> Array:
