@@ -114,7 +114,7 @@ def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: 
         total = total + STEP_PENALTY * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
             known = counts[:, G] > 0.0
-            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
+            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf)).mean()
         return total
 
     rows = torch.arange(len(models["row"]))
