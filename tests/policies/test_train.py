@@ -89,7 +89,7 @@ def test_risky_actions_are_avoided_and_what_they_reach_is_not_learnt(distal, tmp
 
 
 def test_of_all_actions_that_reach_a_goal_it_takes_those_that_can_be_relied_on(distal, tmp_path):
-    """What actions left of the centre reach strays by 0.03 lengths, beside what is known of them."""
+    """What actions left of the centre reach strays by 0.03 lengths."""
     d = toy(1200)
     left = d.action[:, 0] < CENTRE[0]
     strays = np.random.default_rng(5).normal(scale=0.03, size=d.goal.shape)
@@ -237,7 +237,7 @@ def test_divergence_is_told(tmp_path):
     [
         ({"method": "magic"}, "choose from distal, inverse, chance"),
         ({"conditioned_on": ("mass",)}, "choose from bending_ratio, nu, damping"),
-        ({"architecture": "huge"}, "choose from smooth, wide, paper"),
+        ({"architecture": "huge"}, "choose from smooth, paper"),
         ({"epochs": 0}, "epochs must be positive"),
         ({"refine": -1}, "give 0 rounds or more"),
         ({"refine": 1, "refine_cases": 0}, "give 0 rounds or more"),

@@ -40,12 +40,12 @@ class Command:
     condition: tuple[str, ...] = ("all",)
     """Parameters that the policy sees: some of bending_ratio, nu, damping, friction, density and
     thickness_ratio, or all (that vary in the demonstrations) or none."""
-    architecture: Literal["smooth", "wide", "paper"] = "smooth"
-    """smooth: 3 x 192 SiLU. wide: 4 x 320, for training on a GPU. paper: 256, 128, 32 ReLU."""
+    architecture: Literal["smooth", "paper"] = "smooth"
+    """smooth: 3 x 192 SiLU. paper: 256, 128, 32 ReLU."""
     epochs: int = 300
     """Passes over the demonstrations, for each network."""
     batch_size: int = 256
-    """Of demonstrations in a step of the optimiser; 1024 suits a GPU and many demonstrations."""
+    """Of demonstrations in a step of the optimiser; 512 suits a GPU and many demonstrations."""
     refine: int = 0
     """Rounds in which the policy then acts in the simulator and is corrected by what it reaches; 4
     halve the error of one that sees the parameters. Needs a task with goals."""

@@ -39,7 +39,6 @@ Loss = Callable[[Tensor], Tensor]
 
 ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
     "smooth": ((192, 192, 192), nn.SiLU),
-    "wide": ((320, 320, 320, 320), nn.SiLU),
     "paper": ((256, 128, 32), nn.ReLU),
 }
 """Widths of the hidden layers, and what follows each. "paper" is that of Kuroki et al. (2024)."""

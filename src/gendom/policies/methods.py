@@ -15,6 +15,12 @@ of the plane), the forward model learns it too, and the policy is kept below its
 what is reached cannot be predicted. Here and there what is reached jumps, and no network follows.
 Large errors count linearly (Huber 1964), so that both networks fit what can be fitted.
 
+Where an action has more numbers than a goal, many reach it. The forward model then says, too, how
+far what is reached strays from what it says (the scale of Laplace's distribution), and that counts
+like a predicted miss: the policy takes releases that it can rely on. Which of them is first chosen
+among demonstrated actions, for each goal and object that of least cost, and learnt as by
+``inverse``; from there the policy is trained through the model.
+
 Demonstrations for fine-tuning, such as real ones, are few, and do not change the forward model:
 what they reach beside what it says is a Gaussian process over actions and parameters (Kennedy and
 O'Hagan 2001), which is nothing where none of them is near. Through both the policy is trained once
@@ -126,7 +132,7 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     outside = _distance_outside(problem.action[problem.trained] / scale)
 
     def cost(action: Tensor, rows: Tensor) -> Tensor:
-        """[B]"""
+        """[B] of actions [B, A] for the goals and objects of some rows."""
         found = predicted(action, rows)
         error = (found[:, :G] - problem.goal[rows]) / model.output_scale[:G]
         total = huber(error, HUBER_THRESHOLD).mean(dim=1)
