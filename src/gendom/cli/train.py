@@ -44,6 +44,8 @@ class Command:
     """smooth: 3 x 192 SiLU. paper: 256, 128, 32 ReLU."""
     epochs: int = 300
     """Passes over the demonstrations, for each network."""
+    batch_size: int = 256
+    """Of demonstrations in a step of the optimiser; 512 suits a GPU and many demonstrations."""
     refine: int = 0
     """Rounds in which the policy then acts in the simulator and is corrected by what it reaches; 4
     halve the error of one that sees the parameters. Needs a task with goals."""
@@ -51,7 +53,7 @@ class Command:
     """Goals and objects of each round, at most."""
     engine: Engine = "thin"
     device: str = "cpu"
-    """Of the simulator: cpu, cuda or cuda:0 and so on. Networks are trained on the CPU."""
+    """Of simulator and networks: cpu, cuda or cuda:0 and so on."""
     cases: int = 200
     """New cases to act in afterwards; 0: none."""
     seed: Seed = 0
@@ -67,14 +69,14 @@ class Command:
 
         open_device(self.device)
         method = self.method or ("distal" if demonstrations.goal_names else "chance")
-        names = ("architecture", "epochs", "refine", "refine_cases", "seed")
+        names = ("architecture", "epochs", "batch_size", "refine", "refine_cases", "seed")
         own = {name: getattr(self, name) for name in names}
         sees = tuple(name for name in self.condition if name != "none")
         sees = None if sees == ("all",) else sees  # that vary
         training = Training(method=method, conditioned_on=sees, **own)
         policy = train(
             demonstrations, self.out, training, finetune=finetune, cases=self.cases, progress=True,
-            world=Simulation(engine=self.engine, device=self.device),
+            world=Simulation(engine=self.engine, device=self.device), device=self.device,
         )  # fmt: skip
         row = described(policy)
         print(to_json(row) if self.json else policy_text(row))

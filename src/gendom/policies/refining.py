@@ -15,8 +15,6 @@ parameters is fitted over all objects that look alike to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,12 +31,10 @@ import torch
 from torch import Tensor
 
 from gendom.arguments import require
-from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
+from gendom.materials import PARAMETERS, unit_of, with_dimensionless
 from gendom.policies.rollouts import central_differences, stencil
-from gendom.progress import bar
 from gendom.tasks import Task
 from gendom.tasks.task import World, numbers_of
-from gendom.tasks.world import BATCH
 
 STEP = 0.002
 """Of central differences [units of similarity]."""
@@ -78,13 +74,13 @@ def refine(problem: TrainingProblem, task: Task, world: World) -> dict[str, floa
     training, G = problem.training, len(problem.goals)
     rng = np.random.default_rng([training.seed, training.refine])
     within = problem.trained[problem.within[problem.trained]]
-    cases = (within if len(within) else problem.trained).numpy()
+    cases = (within if len(within) else problem.trained).cpu().numpy()
     rounds: list[dict[str, Tensor]] = []
     misses = []
     for k in range(1, training.refine + 1):
         rows = rng.permutation(cases)[: training.refine_cases]
         name = f"round {k} of {training.refine}"
-        new = _models(problem, task, world, rows, name)
+        new = _models(problem, task, world, rows)
         usable = new["counts"][:, :G] > 0.0
         what = "no outcome of what the policy does in the simulator can be relied on"
         fix = "train it for more epochs, or check the task's risk"
@@ -114,7 +110,7 @@ def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: 
         total = total + STEP_PENALTY * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
             known = counts[:, G] > 0.0
-            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
+            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf)).mean()
         return total
 
     rows = torch.arange(len(models["row"]))
@@ -124,7 +120,7 @@ def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: 
 
 
 def _models(
-    problem: TrainingProblem, task: Task, world: World, rows: NDArray[np.intp], name: str
+    problem: TrainingProblem, task: Task, world: World, rows: NDArray[np.intp]
 ) -> dict[str, Tensor]:
     """What the policy reaches now for goals and objects of M demonstrations, and how that changes.
 
@@ -134,28 +130,30 @@ def _models(
         [M, R, A] and counts [M, R], 1 where a residual counts, else 0; in units of similarity.
     """
     with torch.no_grad():
-        asked = problem.act(torch.as_tensor(rows)).double().numpy()
+        asked = problem.act(torch.as_tensor(rows)).double().cpu().numpy()
+    given = torch.cat([problem.data[n][rows] for n in PARAMETERS], dim=1).tolist()
     items = [
-        with_dimensionless(task.item, {n: float(problem.data[n][row, 0]) for n in PARAMETERS})
-        for row in rows
+        with_dimensionless(task.item, dict(zip(PARAMETERS, row, strict=True))) for row in given
     ]
+
+    units = task.action_units(task.item)
 
     def allowed(points: Array) -> Array:
         return np.array([
-            [task.nearest(item, a * u) / u for a in of_one]
+            [task.nearest(item, a * units) / units for a in of_one]
             for item, of_one in zip(items, points, strict=True)
-            for u in [task.action_units(item)]
         ])  # fmt: skip
 
     action = allowed(asked[:, None])[:, 0]
     points = allowed(stencil(action, STEP))
-    values = []
-    with bar(f"{name}, acting", len(rows), "case", shown=problem.shown) as show:
-        show(0)
-        for part in np.array_split(np.arange(len(rows)), -(-points.size // (BATCH * len(asked.T)))):
-            values.append(_values(task, world, [items[i] for i in part], points[part]))
-            show(int(part[-1]) + 1)
-    found = np.concatenate(values)
+    M, K, A = points.shape
+    actions = (points * units).reshape(M * K, A)
+    outcomes = world.carry_out(task, [item for item in items for _ in range(K)], actions)
+    quantities = [*task.goals, *([task.risk] if task.risk is not None else [])]
+    found = numbers_of(outcomes, quantities).reshape(M, K, -1)
+    found /= np.array([unit_of(q.unit, task.item) for q in quantities])
+    if task.risk is not None:
+        found[..., -1] = np.log(np.maximum(found[..., -1], RISK_FLOOR))
     G = len(task.goals)
     second = found[:, 1::2] + found[:, 2::2] - 2.0 * found[:, :1]
     counts = np.isfinite(found[:, 0])
@@ -173,18 +171,3 @@ def _models(
     }
     made = {n: torch.tensor(values, dtype=torch.float32) for n, values in arrays.items()}
     return {"row": torch.tensor(rows), **made}
-
-
-def _values(task: Task, world: World, items: Sequence[Item], points: Array) -> Array:
-    """[M, K, G, and 1 for the logarithm of the risk] of K actions [M, K, A] with M objects, in
-    units of similarity; NaN where a simulation failed."""
-    M, K, _ = points.shape
-    units = np.array([task.action_units(item) for item in items])
-    actions = (points * units[:, None]).reshape(M * K, -1)
-    outcomes = world.carry_out(task, [item for item in items for _ in range(K)], actions)
-    quantities = [*task.goals, *([task.risk] if task.risk is not None else [])]
-    found = numbers_of(outcomes, quantities).reshape(M, K, -1)
-    found /= np.array([[unit_of(q.unit, item) for q in quantities] for item in items])[:, None]
-    if task.risk is not None:
-        found[..., -1] = np.log(np.maximum(found[..., -1], RISK_FLOOR))
-    return found

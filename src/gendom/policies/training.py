@@ -61,6 +61,7 @@ def train(
     finetune: Demonstrations | None = None,
     world: World | None = None,
     cases: int = 0,
+    device: str = "cpu",
     progress: bool = False,
 ) -> Policy:
     """Train a policy and write it to `path`.
@@ -76,6 +77,7 @@ def train(
             once more; columns stay standardised as the first ones are.
         world: Where it acts to be refined and judged (default: our simulator).
         cases: New ones that it acts in afterwards; its file has the errors (`Score.summary`).
+        device: Of torch, where networks are trained.
         progress: Show progress bars on stderr.
 
     Returns:
@@ -93,23 +95,23 @@ def train(
     sees = _seen(demonstrations, training)
     task = rebuild(demonstrations.task)
     _check_alike(demonstrations, finetune, training)
-    with reproducible(training.seed):
+    with reproducible(training.seed, device):
         problem = TrainingProblem(demonstrations, sees, training, finetune=finetune, shown=progress)
         refining = partial(refine, problem, task, world) if training.refine else dict
         errors = getattr(methods, training.method)(problem, refining)
-        figures = {
-            **asdict(training),
-            "demonstrations": given,
-            "failed": given - len(demonstrations),
-            "refined_in": world.settings() if training.refine else None,
-            "finetuned_on": 0 if finetune is None else len(finetune),
-            "held_out": len(problem.held_out),
-            "errors": errors,
-            "seconds": time.monotonic() - began,
-            "gendom": __version__,
-            "torch": str(torch.__version__),
-        }
-        return _written(problem, _described(problem, demonstrations, figures), path, cases, world)
+    figures = {
+        **asdict(training),
+        "demonstrations": given,
+        "failed": given - len(demonstrations),
+        "refined_in": world.settings() if training.refine else None,
+        "finetuned_on": 0 if finetune is None else len(finetune),
+        "held_out": len(problem.held_out),
+        "errors": errors,
+        "seconds": time.monotonic() - began,
+        "gendom": __version__,
+        "torch": str(torch.__version__),
+    }
+    return _written(problem, _described(problem, demonstrations, figures), path, cases, world)
 
 
 def _described(
@@ -189,12 +191,14 @@ def _written(
     """Write the file, once onnxruntime gives the trained network's actions."""
     rows = problem.trained[:CHECKED]
     with torch.no_grad():
-        expected = problem.act(rows).numpy()
-    given = {n: problem.data[n][rows, 0].numpy().astype(float) for n in problem.sees}
+        expected = problem.act(rows).cpu().numpy()
+    given = {n: problem.data[n][rows, 0].cpu().numpy().astype(float) for n in problem.sees}
+    goal, action = (values[rows].cpu().numpy() for values in (problem.goal, problem.action))
+    problem.policy.cpu()
     with atomic_path(path) as temporary:
 
         def export(about: Description) -> Policy:
-            inputs = {column.name: torch.ones(2, 1) for column in about.inputs}
+            inputs = {c.name: torch.ones(2, 1) for c in about.inputs}
             outputs = ("chance" if problem.chooses else "action",)
             metadata = {METADATA_KEY: about.to_json()}
             export_onnx(
@@ -204,9 +208,9 @@ def _written(
 
         policy = export(description)
         if problem.chooses:
-            found = policy.chances(problem.action[rows].numpy(), given)[:, None]
+            found = policy.chances(action, given)[:, None]
         else:
-            found = policy.actions(problem.goal[rows].numpy(), given)
+            found = policy.actions(goal, given)
         worst = float(np.abs(found - expected).max())
         what = f"the exported network differs from the trained one by {worst:.3g}"
         fix = "report this, with the versions of torch and onnxruntime"
