@@ -242,8 +242,9 @@ class TrainingProblem:
         return self.policy(*columns, *(self.data[name][rows] for name in self.sees))
 
     def caution(self, log_risk: Tensor) -> Tensor:
-        """Loss [B] of risks [B], given by their logarithms, that are near the limit or beyond."""
-        return torch.relu(log_risk - (self.highest - RISK_MARGIN)) ** 2
+        """Loss of risks [B], given by their logarithms, that are near the limit or beyond."""
+        beyond = torch.relu(log_risk - (self.highest - RISK_MARGIN))
+        return (beyond**2).mean()
 
     def fit(
         self,

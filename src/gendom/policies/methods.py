@@ -15,12 +15,6 @@ of the plane), the forward model learns it too, and the policy is kept below its
 what is reached cannot be predicted. Here and there what is reached jumps, and no network follows.
 Large errors count linearly (Huber 1964), so that both networks fit what can be fitted.
 
-Where an action has more numbers than a goal, many reach it. The forward model then says, too, how
-far what is reached strays from what it says (the scale of Laplace's distribution), and that counts
-like a predicted miss: the policy takes releases that it can rely on. Which of them is first chosen
-among demonstrated actions, for each goal and object that of least cost, and learnt as by
-``inverse``; from there the policy is trained through the model.
-
 Demonstrations for fine-tuning, such as real ones, are few, and do not change the forward model:
 what they reach beside what it says is a Gaussian process over actions and parameters (Kennedy and
 O'Hagan 2001), which is nothing where none of them is near. Through both the policy is trained once
@@ -55,7 +49,6 @@ from gendom.policies.fitting import (
     rms,
     standardised,
 )
-from gendom.policies.policy import Column
 
 Between = Callable[[], dict[str, float]]
 """What comes between training and fine-tuning; gives errors."""
@@ -69,12 +62,6 @@ REPLAY = 4
 REACHES, NOISES = (0.25, 0.5, 1.0), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
 """Distances of standardised inputs over which what is left of goals is alike, and variances of its
 noise over its own, that are tried. Farther ones would tell of objects that nobody has seen."""
-
-STRAYS_WEIGHT = 0.03
-"""Of the likelihood of how far what is reached strays from what the forward model says."""
-
-CHOICES, AT_ONCE = 256, 1 << 18
-"""Demonstrated actions that a first choice is made among, and how many are looked at together."""
 
 HUBER_THRESHOLD = 0.1
 """Error from which on it counts linearly [standard deviations of the goal]."""
@@ -93,9 +80,6 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     if problem.log_risk is not None:
         outputs.append(standardised("risk", problem.log_risk.cpu().numpy()[:, 0].astype(float)))
         target = torch.cat([problem.goal, problem.log_risk], dim=1)
-    R, free = len(outputs), len(problem.actions) > G
-    if free:
-        outputs += [Column(name=f"strays_{c.name}", mean=-3.0, scale=1.0) for c in problem.goals]
     model = PhysicalNetwork(
         [*problem.actions, *problem.parameters.values()], outputs, training.architecture
     )
@@ -116,42 +100,23 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     counts[:, :G] = problem.within[:, None].float()
 
     def model_loss(rows: Tensor) -> Tensor:
-        found = predicted(problem.action[rows], rows)
-        error = (found[:, :R] - target[rows]) / model.output_scale[:R]
-        loss = (counts[rows] * huber(error, HUBER_THRESHOLD)).mean()
-        if free:
-            strays = found[:, R:]
-            miss = error[:, :G].detach().abs()
-            spread = counts[rows, :G] * (miss * torch.exp(-strays) + strays)
-            loss = loss + STRAYS_WEIGHT * spread.mean()
-        return loss
+        error = (predicted(problem.action[rows], rows) - target[rows]) / model.output_scale
+        return (counts[rows] * huber(error, HUBER_THRESHOLD)).mean()
 
     problem.fit("forward model", model, model_loss)
     model.requires_grad_(False)
     scale = problem.policy.output_scale
     outside = _distance_outside(problem.action[problem.trained] / scale)
 
-    def cost(action: Tensor, rows: Tensor) -> Tensor:
-        """[B] of actions [B, A] for the goals and objects of some rows."""
-        found = predicted(action, rows)
-        error = (found[:, :G] - problem.goal[rows]) / model.output_scale[:G]
-        total = huber(error, HUBER_THRESHOLD).mean(dim=1)
-        if free:
-            total = total + huber(found[:, R:].exp(), HUBER_THRESHOLD).mean(dim=1)
-        if problem.log_risk is not None:
-            total = total + problem.caution(found[:, G])
-        return total
-
     def policy_loss(rows: Tensor) -> Tensor:
         action = problem.act(rows)
-        return cost(action, rows).mean() + outside(action / scale)
+        found = predicted(action, rows)
+        error = (found[:, :G] - problem.goal[rows]) / model.output_scale[:G]
+        loss = huber(error, HUBER_THRESHOLD).mean() + outside(action / scale)
+        if problem.log_risk is not None:
+            loss = loss + problem.caution(found[:, G])
+        return loss
 
-    if free:
-        first = _cheapest(problem, cost)
-        problem.fit(
-            "policy, first choices", problem.policy, only=problem.within,
-            loss_of=lambda rows: huber((problem.act(rows) - first[rows]) / scale, 1.0).mean(),
-        )  # fmt: skip
     problem.fit("policy", problem.policy, policy_loss, only=problem.within)
     errors = between()
     tuned = problem.tuned
@@ -209,19 +174,6 @@ def chance(problem: TrainingProblem, between: Between = dict) -> dict[str, float
         rows = problem.held_out
         wrong = (problem.act(rows) > 0.5) != (enough[rows] > 0.5)
         return {"wrong_share": float(wrong.float().mean())}
-
-
-def _cheapest(problem: TrainingProblem, cost: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
-    """[N, A] the demonstrated action, of `CHOICES` within the risk, that costs least for the goal
-    and the object of each demonstration that is trained on; else the own."""
-    chosen = problem.trained[problem.within[problem.trained]]
-    known = problem.action[chosen[torch.randperm(len(chosen))[:CHOICES]]]
-    best, K = problem.action.clone(), len(known)
-    with torch.no_grad():
-        for part in chosen.split(AT_ONCE // max(1, K)):
-            each = cost(known.repeat(len(part), 1), part.repeat_interleave(K))
-            best[part] = known[each.reshape(-1, K).argmin(dim=1)]
-    return best
 
 
 class GaussianProcess:

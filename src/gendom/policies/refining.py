@@ -110,7 +110,7 @@ def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: 
         total = total + STEP_PENALTY * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
             known = counts[:, G] > 0.0
-            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf)).mean()
+            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
         return total
 
     rows = torch.arange(len(models["row"]))
