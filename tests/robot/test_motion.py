@@ -180,6 +180,9 @@ def test_joint_moves_are_quintics_as_fast_as_one_limit_allows(share):
     beyond = np.stack([XARM7.home, XARM7.home - 2.0 * np.eye(7)[3]])
     with pytest.raises(RobotError, match=r"joint 4 .*-0\.192.*slowing down does not help"):
         JointMotion(time=np.array([0, 5]), q=beyond).check_limits(XARM7)
+    two = np.stack([XARM7.home, XARM7.home + 3.0 * (np.eye(7)[1] - np.eye(7)[3])])
+    with pytest.raises(RobotError, match=r"\(and 1 more\)"):
+        JointMotion(time=np.array([0, 50]), q=two).check_limits(XARM7)
     for wrong in (0.0, 1.01, np.nan):
         with pytest.raises(RobotError, match=f"share is {wrong}; give 0 < share <= 1"):
             joint_move(XARM7, XARM7.home, to, share=wrong)
