@@ -136,6 +136,11 @@ def test_the_world_is_any_frame_or_without_tf_the_clouds(bag):
         assert found.gripper_position[1, 0] == pytest.approx(seen(GRIP[1]))
 
 
+def test_clouds_that_came_late_are_read_at_their_time(bag):
+    rows = messages()
+    check(read(bag([*rows[:-3], rows[-1], rows[-3], rows[-2]])))
+
+
 def test_clouds_at_other_times_are_left_out(bag):
     faults = []
     path = bag([*messages(), (POINTS, cloud(5.0, "camera", seen(CLOUDS[0])))])

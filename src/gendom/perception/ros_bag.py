@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import os
 import re
 import sqlite3
@@ -24,6 +25,9 @@ ANY_SIZE = 1 << 62
 """Of files that are read message by message [bytes]."""
 LARGEST_MESSAGE = 1 << 27
 """Also when it is decompressed [bytes]."""
+LATE = 3
+"""How many messages of a topic may come before one of an earlier time stamp: networks and
+recorders change places."""
 
 _SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
 _COMPUTED = re.compile(r"\bvirtual\b|\bas\b\s*\(", re.IGNORECASE)
@@ -95,11 +99,18 @@ class RosBag:
     def frames(
         self, topic: str, read: Callable[[Any, str], Any] = lambda message, _: message
     ) -> Iterator[Frame]:
-        """A topic's messages with their times, in order of these; a frame's `read` gives what a
-        function makes of a message and of what messages to people call it."""
+        """A topic's messages with their times, in order of these where none came more than `LATE`
+        messages late; a frame's `read` gives what a function makes of a message and of what
+        messages to people call it."""
+        waiting: list[tuple[float, int, Frame]] = []
         for k, (_, message) in enumerate(self.messages(topic)):
-            where = f"{self.where}: {topic}: frame {k}"
-            yield Frame(stamp(message.header), where, partial(read, message, where))
+            where, time = f"{self.where}: {topic}: frame {k}", stamp(message.header)
+            frame = Frame(time, where, partial(read, message, where))
+            heapq.heappush(waiting, (time, k, frame))
+            if len(waiting) > LATE:
+                yield heapq.heappop(waiting)[2]
+        while waiting:
+            yield heapq.heappop(waiting)[2]
 
 
 def open_database(path: Path) -> sqlite3.Connection:
