@@ -2,6 +2,7 @@
 
 import json
 import re
+import zipfile
 from dataclasses import fields, replace
 from importlib import resources
 
@@ -350,6 +351,13 @@ def test_files_that_are_no_recordings(lift, tmp_path):
     ):
         path.write_bytes(data)
         assert refusal(path)[0].startswith(said)
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "w") as twice:
+        for name in ("time.npy", "meta.npy", "time.npy"):
+            twice.writestr(name, b"")
+    assert refusal(path) == ["has time.npy twice; write it with numpy.savez"]
+    with zipfile.ZipFile(path, "w") as text:
+        text.writestr("meta", b"{}")
+    assert refusal(path) == ["meta is no array; write gendom-recording/1 with numpy.savez"]
     assert refusal(tmp_path / "absent.npz") == ["no such file; check the path"]
 
 

@@ -60,7 +60,7 @@ def _arrays(
             _check_archive(file, size, where)
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
-                return {name: archive[name] for name in choose(archive.files)}
+                found = {name: archive[name] for name in choose(archive.files)}
     except _LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             what, fix = f"cannot be read ({error.strerror})", "check the file"
@@ -70,17 +70,24 @@ def _arrays(
         else:
             what, fix = f"is damaged ({short(error)})", "copy or write it again"
         raise RecordingError(what, where=where, fix=fix) from None
+    for name, array in found.items():
+        wanted(isinstance(array, np.ndarray), f"{name} is no array", where, write)
+    return found
 
 
 def _check_archive(file: BinaryIO, size: int, where: str) -> None:
-    """Refuse a zip file of too many members, or that unpacks to far more than it is."""
+    """Refuse a zip file of too many members or two of one name, or that unpacks to far more."""
     file.seek(max(0, size - _END))
     end = file.read()
     place = end.rfind(b"PK\5\6")
     index = struct.unpack_from("<I", end, place + 12)[0] if place >= 0 else 0
     wanted(index <= _END, f"has an index of {index} bytes", where, "write it with numpy.savez")
     with zipfile.ZipFile(file) as archive:
-        whole = sum(member.file_size for member in archive.infolist())
+        members = archive.infolist()
+    names = [member.filename for member in members]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    wanted(twice is None, f"has {twice} twice", where, "write it with numpy.savez")
+    whole = sum(member.file_size for member in members)
     check_unpacked(whole, size, where, RecordingError)
 
 
