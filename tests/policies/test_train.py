@@ -87,6 +87,23 @@ def test_risky_actions_are_avoided_and_what_they_reach_is_not_learnt(distal, tmp
     assert mean_error(careful) < 0.03
 
 
+def test_where_torch_has_no_gpu_networks_are_trained_on_the_cpu(tmp_path, caplog):
+    if torch.cuda.is_available():
+        pytest.skip("torch has a GPU")
+    own = [train(toy(100), tmp_path / d, Training(epochs=2), device=d) for d in ("cpu", "cuda")]
+    asked = [acted(policy, toy(20, seed=1)) for policy in own]
+    np.testing.assert_array_equal(*asked)
+    assert caplog.text.count("torch has no CUDA") == 1
+
+
+@pytest.mark.gpu
+def test_networks_trained_on_a_gpu_are_as_good(tmp_path):
+    if not torch.cuda.is_available():
+        pytest.skip("torch has no CUDA")
+    policy = train(toy(1200), tmp_path / "p.onnx", Training(epochs=60), device="cuda")
+    assert mean_error(policy) < 0.015
+
+
 def test_without_goals_only_what_succeeded_is_learnt(tmp_path):
     """Soft objects need more of the action; a fifth failed, whatever was done."""
     rng, count = np.random.default_rng(0), 400

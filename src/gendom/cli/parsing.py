@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import io
+import os
 import re
 import shutil
 import textwrap
@@ -49,7 +50,8 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         fix = "give it a value; a variable of the shell may be unset"
         raise ParameterError("one of the words is empty", fix=fix)
     # shells leave --out=~/a as it is
-    words = [re.sub("^(--[-a-z]+=|)~(?=/|$)", rf"\1{Path.home()}", word) for word in words]
+    home = os.path.expanduser("~")  # "~" where nobody knows it
+    words = [re.sub("^(--[-a-z]+=|)~(?=/|$)", lambda m: m[1] + home, word) for word in words]
     arguments = arguments_of(command)
     flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
     for word in takewhile(lambda w: w != "--", words):

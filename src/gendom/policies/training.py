@@ -5,6 +5,7 @@ From goal and parameters to action, by one of `gendom.policies.methods`.
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from dataclasses import asdict, replace
@@ -38,6 +39,8 @@ from gendom.tasks import find_task, rebuild
 from gendom.tasks.cases import draw_cases
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
+
+_log = logging.getLogger(__name__)
 
 GOAL_BINS = 8
 """Bins of the parameter E in which the range of goals is kept."""
@@ -77,7 +80,7 @@ def train(
             once more; columns stay standardised as the first ones are.
         world: Where it acts to be refined and judged (default: our simulator).
         cases: New ones that it acts in afterwards; its file has the errors (`Score.summary`).
-        device: Of torch, where networks are trained.
+        device: Of torch, where networks are trained; the CPU if this torch knows no other.
         progress: Show progress bars on stderr.
 
     Returns:
@@ -95,6 +98,9 @@ def train(
     sees = _seen(demonstrations, training)
     task = rebuild(demonstrations.task)
     _check_alike(demonstrations, finetune, training)
+    if device != "cpu" and not torch.cuda.is_available():
+        _log.warning("torch has no CUDA: networks are trained on the CPU")
+        device = "cpu"
     with reproducible(training.seed, device):
         problem = TrainingProblem(demonstrations, sees, training, finetune=finetune, shown=progress)
         refining = partial(refine, problem, task, world) if training.refine else dict
