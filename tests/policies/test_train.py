@@ -90,9 +90,11 @@ def test_risky_actions_are_avoided_and_what_they_reach_is_not_learnt(distal, tmp
 def test_where_torch_has_no_gpu_networks_are_trained_on_the_cpu(tmp_path, caplog):
     if torch.cuda.is_available():
         pytest.skip("torch has a GPU")
-    own = [train(toy(100), tmp_path / d, Training(epochs=2), device=d) for d in ("cpu", "cuda")]
-    asked = [acted(policy, toy(20, seed=1)) for policy in own]
-    np.testing.assert_array_equal(*asked)
+    one, other = (
+        acted(train(toy(100), tmp_path / d, Training(epochs=2), device=d), toy(20, seed=1))
+        for d in ("cpu", "cuda")
+    )
+    np.testing.assert_array_equal(one, other)
     assert caplog.text.count("torch has no CUDA") == 1
 
 
