@@ -15,6 +15,7 @@ from gendom.estimation.lift_plan import CLOUD_POINTS
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.reality import RealCloth, RealObject, RealRope
+from gendom.reality.model import CLOTH_STEP
 from gendom.reality.objects import vertices_of
 from gendom.robot import predefined_lift
 
@@ -183,18 +184,19 @@ def _cloth(
 def truth_of(item: RealObject) -> dict[str, float]:
     """By names of `gendom.estimation.UNKNOWNS` and of values of estimates. Lifts show a cloth's
     rigidity E t^3 / (12 (1 - nu^2)) alone: its E is the one that gives this with the nu that
-    estimates assume."""
-    m, wide = item.material, 1.0
+    estimates assume. Its damping is at least MuJoCo's step, which damps as much
+    (docs/reality.md)."""
+    m, wide, least = item.material, 1.0, 0.0
     if isinstance(item, RealRope):
         k = item.diameter / 4.0
     else:
         k = item.thickness / math.sqrt(12.0)
-        wide = (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2)
+        wide, least = (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2), CLOTH_STEP
     return {
         "E": m.E / wide,
         "E_over_rho": m.E_over_rho / wide,
         "bending_length": bending_length(m.E_over_rho / wide, k, STANDARD_GRAVITY),
         "nu": m.nu,
-        "damping": m.damping,
+        "damping": max(m.damping, least),
         "friction": item.friction,
     }

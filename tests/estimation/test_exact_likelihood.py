@@ -130,7 +130,8 @@ def reference(c, a, noise):
     step, follows = np.linalg.solve(Mt, downhill), np.linalg.solve(Mt, cross)
     loss = float((o.every * 2.0 * rho**2 / (1.0 + root)).sum())
     return SimpleNamespace(
-        step=step, gain=step @ downhill, loss=loss, D=D, W=W, rho=rho, precision=precision,
+        step=step, follows=follows, gain=step @ downhill, loss=loss, D=D, W=W, rho=rho,
+        precision=precision,
         value=weight * loss + precision @ a**2, gradient=cross.T @ step - g.sum(axis=0)[R:],
         hessian=H[R:, R:] - cross.T @ follows, pulls=g[:, R:] - g[:, :R] @ follows,
         rms=np.sqrt(loss / o.every.sum()),
@@ -164,7 +165,7 @@ def test_a_fit_is_that_of_dense_matrices(options, noise, rounds):
     fit = c.fit(noise)
     np.testing.assert_allclose(fit.a, a, rtol=1e-4, atol=1e-9)
     assert fit.value == pytest.approx(known.value - known.gain * (known.gain < 0.1), rel=1e-6)
-    for name in ("step", "gradient", "hessian", "gain", "loss", "rms"):
+    for name in ("step", "follows", "gradient", "hessian", "gain", "loss", "rms"):
         own, wanted = getattr(fit, name), getattr(known, name)
         np.testing.assert_allclose(own, wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
     if noise.model == 0.0:  # the motion of markers has no other displacement
@@ -196,6 +197,11 @@ def test_a_registration_begins_where_the_last_one_or_a_neighbour_s_ended():
     Comparisons((near,)).warm_start(Comparisons((c,)))
     assert np.array_equal(near.fit(fixed).a, first.a)
     assert np.array_equal(near.fit(without).a, np.zeros(7))  # of a displacement that is not there
+    # by the linear model with which parameters move it
+    ahead, way = compared(Seen()), np.array([0.3, -0.1])
+    Comparisons((ahead,)).warm_start(Comparisons((c,)), [way])
+    last = c.fit(fixed)
+    np.testing.assert_array_equal(ahead.fit(fixed).a, last.a + last.step - last.follows @ way)
     with pytest.raises(ValueError, match="zip"):
         Comparisons((near,)).warm_start(Comparisons(()))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gendom.estimation import LiftScene, replay
-from gendom.estimation.observed import Observation
+from gendom.estimation.observed import SKIN_OF_THIN, NoiseModel, Observation
 from gendom.estimation.replay import HEM, WorldInputs, held_reach
 from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
@@ -117,3 +117,28 @@ def test_fingers_hide_what_they_hold(rope_lift):
         sight = np.full(len(seen), not hidden)
         counts = observation.rows(aside, 0.006, lambda _, s=sight: s).counts[:, -len(seen) :]
         assert ((counts > 0.0) == (seen & sight)).all()
+
+
+def test_a_point_is_as_far_from_a_sheet_as_it_is(scene):
+    """Wherever its foot is; beyond an edge as far as it is beyond half a spacing. No skin makes up
+    for noise that is thicker than a cloth."""
+    assert NoiseModel().of(scene, True).skin == SKIN_OF_THIN
+    observation, rng, r = Observation(scene), np.random.default_rng(0), 0.001
+    shape = np.repeat(scene.initial[None], len(scene.frames), axis=0)
+    flat = scene.initial.reshape(*scene.body.shape, 3)
+    first, second = flat[0, -1] - flat[0, 0], flat[-1, 0] - flat[0, 0]
+    s, t = rng.uniform(0.01, 0.99, (2, *observation.counts.shape))
+    high, beyond = rng.uniform(-0.003, 0.003, s.shape), np.zeros(s.shape)
+    beyond[:, ::3] = rng.uniform(0.0, 0.02, beyond[:, ::3].shape)
+    s = np.where(beyond > 0.0, 1.0 + beyond / np.linalg.norm(first), s)
+    places = flat[0, 0] + s[..., None] * first + t[..., None] * second
+    observation.points = places + high[..., None] * [0.0, 0.0, 1.0]
+    hidden = np.zeros(len(observation.in_view), bool)
+    aside = np.maximum(beyond - 0.5 * observation.shape.spacing, 0.0)
+    rows = observation.rows(shape, r, lambda _: hidden)
+    points = rows.rho[:, : high.shape[1]]
+    np.testing.assert_allclose(points, np.hypot(high, aside) - r, atol=1e-9)
+    # shapes that move along the normals come as much nearer
+    way = 1e-8 * (first / np.linalg.norm(first) + [0.0, 0.0, 1.0])
+    nearer = points - observation.rows(shape + way, r, lambda _: hidden).rho[:, : high.shape[1]]
+    np.testing.assert_allclose(nearer, rows.normal[:, : high.shape[1]] @ way, atol=1e-12)

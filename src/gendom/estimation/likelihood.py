@@ -15,6 +15,7 @@ expectation and maximisation (Dempster et al. 1977).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import combinations
@@ -60,20 +61,17 @@ class Comparison:
         self._first = np.zeros(0)
         self._in_sight = cache(lambda t: self.observation.in_sight(self.axis[t]))
 
-    def warm_start(self, other: Comparison) -> None:
-        """Start the registration from the result of a comparison nearby."""
+    def warm_start(self, other: Comparison, step: Array | None = None) -> None:
+        """Start the registration from the result of a comparison nearby, or from where that goes
+        with a step [P] from there to here, transformed."""
         if other._last is not None:
-            self._first = other._last.a
+            last = other._last
+            self._first = last.a if step is None else last.a + last.step - last.follows @ step
 
     def inherit_derivatives(self, other: Comparison, step: Array, weight: Array) -> None:
-        """Take over the derivatives of a comparison nearby, with the smallest change that agrees
-        with both shapes (Broyden 1965).
-
-        Args:
-            other: Of the same frames; of a shape with as many points if there is a step.
-            step: [P] from there to here, transformed.
-            weight: [P] of the parameters' squared changes in that smallest change.
-        """
+        """Take over the derivatives of a comparison of the same frames, a step [P] away, with the
+        smallest change that agrees with both shapes, by squares with weights [P] (Broyden 1965);
+        with as many points if there is a step."""
         J = self.observation.shape.taken_from(other.observation.shape, other.J)
         size = float(step @ (weight * step))
         if size > 0.0:
@@ -236,7 +234,7 @@ class Comparison:
         hessian = weight * products[R + 1 :, R + 1 :] - by.T @ follows
         pulls = each[:, R - S, R - S + 1 :] - each[:, R - S, : R - S] @ follows[S:]
         likely = value, gradient, hessian, weight * pulls
-        return Fit(noise, a, S, rows, products, loss, step, gain, *likely)
+        return Fit(noise, a, S, rows, products, loss, step, follows, gain, *likely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,10 +249,12 @@ class Comparisons:
         """`Comparison.rms` of all, each recording counting alike [m]."""
         return math.sqrt(sum(c.rms**2 for c in self.parts) / len(self.parts))
 
-    def warm_start(self, other: Comparisons) -> None:
-        """Start the registrations from the results of comparisons nearby."""
-        for mine, theirs in zip(self.parts, other.parts, strict=True):
-            mine.warm_start(theirs)
+    def warm_start(self, other: Comparisons, steps: Sequence[Array | None] = ()) -> None:
+        """Start the registrations from the results of comparisons nearby, or from where those go
+        with steps [P_k] from there to here."""
+        steps = steps or [None] * len(self.parts)
+        for mine, theirs, step in zip(self.parts, other.parts, steps, strict=True):
+            mine.warm_start(theirs, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,6 +274,8 @@ class Fit:
     """Smoothed sum of squares [m^2]."""
     step: Array
     """[S + B + 7] that is not taken any more."""
+    follows: Array
+    """[S + B + 7, P] by how much ``a`` falls with the parameters."""
     gain: float
     """By which it would lower the value."""
     value: float

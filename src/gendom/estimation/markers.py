@@ -31,13 +31,8 @@ Offsets = tuple[tuple[float, ...], ...]
 
 
 def material_frames(scene: LiftScene, x: Array, frames: Sequence[int] | None = None) -> Array:
-    """[T, W, n, 3, 3] axes of cross-sections as columns, the last one along the rod.
-
-    Args:
-        scene: Of markers between two hands.
-        x: [T, W, n, 3] the axis [m].
-        frames: [T] of the recording; by default those that are compared.
-    """
+    """[T, W, n, 3, 3] axes of cross-sections as columns, the last one along the rod, of its axis
+    [T, W, n, 3] [m], between two hands in frames of the recording (default: the compared ones)."""
     at_first = _twist_free(scene, scene.initial[None, None], [scene.begins])[1]
     q, twist = _twist_free(scene, x, scene.frames if frames is None else frames)
     aligned = at_first - first_twist(scene, scene.initial)

@@ -20,8 +20,9 @@ UNKNOWN_SHIFT, UNKNOWN_TURN = 0.05, 0.1
 registration."""
 
 THIN, SKIN_OF_THIN = 0.008, 1e-5
-"""Diameter of a thin rope, and `NoiseModel.skin` of it [m]: mixed depth at most of its pixels
-widens it along the views, and a larger skin would fit better than the true one."""
+"""Diameter of a thin rope, or thickness of a cloth, and `NoiseModel.skin` of it [m]: mixed depth at
+most of its pixels widens it along the views, noise puts points on either side of a sheet, and a
+larger skin would fit better than the true one."""
 
 NO_SKIN = 1e-8
 """`NoiseModel.skin` of markers in motion, whose coordinates count, not their distance [m]."""
@@ -66,9 +67,12 @@ class NoiseModel:
     """Most iterations of a registration; each pairs points and places again."""
 
     def of(self, scene: LiftScene, any_thickness: bool) -> NoiseModel:
-        """Of a scene's cameras, and of a thin rope whose thickness is as stated, not looked for."""
-        diameter, noise = scene.recording.object.diameter, self
-        if diameter is not None and diameter < THIN and not any_thickness:
+        """Of a scene's cameras, and of a thin cloth, or rope whose thickness is as stated, not
+        looked for."""
+        thick, noise = scene.recording.object.diameter, self
+        if scene.kind == "cloth":
+            thick, any_thickness = scene.body.thickness, False
+        if thick is not None and thick < THIN and not any_thickness:
             noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
             return noise.with_unknown_cameras()
@@ -88,12 +92,7 @@ class NoiseModel:
 
 
 class Observation:
-    """Clouds of a scene, prepared for comparison.
-
-    Args:
-        scene: What was recorded.
-        noise: Its errors, first guesses where they are estimated.
-    """
+    """Clouds of a scene, prepared for comparison; their errors, first guesses where estimated."""
 
     def __init__(self, scene: LiftScene, noise: NoiseModel | None = None):
         self.scene = scene
@@ -167,17 +166,15 @@ class Observation:
         T = len(shape)
         index, weight, foot = self.shape.nearest(shape, self.points)
         e = self.points - foot
+        if not self.shape.rope:
+            # beside a thin sheet's edge the direction to it is noise: across it counts what exceeds
+            n = self.shape.normals(shape, index, weight)
+            across = (e * n).sum(axis=2)[..., None] * n
+            beside = e - across
+            wide = np.maximum(np.linalg.norm(beside, axis=2), 1e-9)[..., None]
+            e = across + np.maximum(1.0 - 0.5 * self.shape.spacing / wide, 0.0) * beside
         size = np.linalg.norm(e, axis=2)
         normal, rho = e / np.maximum(size, 1e-9)[..., None], size - r
-        if not self.shape.rope:
-            # beside a thin sheet the direction to it is noise: its normal is not
-            n = self.shape.normals(shape, index)
-            high = (e * n).sum(axis=2)
-            beside = np.linalg.norm(e - high[..., None] * n, axis=2)
-            inside = beside < np.maximum(np.abs(high), 0.5 * self.shape.spacing)
-            side = np.where(high < 0.0, -1.0, 1.0)[..., None]
-            normal = np.where(inside[..., None], side * n, normal)
-            rho = np.where(inside, np.abs(high) - r, rho)
         own, share = self.shape.samples
         c = np.einsum("mk,tmka->tma", share, shape[:, own])
         if self.shape.rope:

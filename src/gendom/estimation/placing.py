@@ -284,18 +284,14 @@ def _line_from(recording: Recording, length: float, diameter: float) -> Array:
 
 
 def lying_line(points: Array, slenderness: float) -> Array:
-    """[K, d] the smooth line that points [n, d] of a rope lie along, from its end near the origin
-    on [m].
+    """[K, d] the smooth line that points [n, d] of a rope lie along, from its end near the gripper,
+    the origin, on [m]; its length over its diameter is its slenderness.
 
     Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
     paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
     penalised spline of its arc length, as smooth as the information criterion of Schwarz (1978)
     wants it, and no less than Akaike's: with that, one cloud of a straight rope winds by several
     radians. Thick ropes have few independent points: cameras that are off show their sides apart.
-
-    Args:
-        points: Seen from the gripper.
-        slenderness: Length over diameter.
     """
     apart = KDTree(points).query(points, k=min(5, len(points)))[0][:, -1]
     points = points[apart <= 4.0 * np.median(apart)]  # without lonely ones

@@ -325,15 +325,9 @@ class Problem:
         free: Sequence[int] | None = None,
         sketched: bool | None = None,
     ) -> list[Comparisons | None]:
-        """Comparisons at transformed parameters, None where a world diverges, from one batch for
-        each recording.
-
-        Args:
-            vectors: [P] each.
-            derivatives: Whether they know how shapes change with parameters.
-            free: Indices of the free parameters (default: all); derivatives by the others are 0.
-            sketched: Whether they are taken with few points; by default of ropes.
-        """
+        """Comparisons at transformed parameters [P], None where a world diverges, from one batch
+        for each recording; with derivatives by the free parameters of these indices (default:
+        all), those by others are 0, sketched with few points (default: of ropes)."""
         prior, columns = self.prior, []
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
         among = (range(len(prior.names)) if free is None else free) if derivatives else ()
@@ -412,16 +406,17 @@ class Problem:
         vectors: Sequence[Array],
         comparisons: Sequence[Comparisons | None],
         noise: Sequence[NoiseModel],
-        near: Comparisons | None = None,
+        near: Start | None = None,
     ) -> list[float]:
         """`value` of each, infinite where it could not be simulated; registrations begin with the
-        result of a comparison nearby."""
+        result of a start nearby, of cloths with where that goes with the parameters."""
 
         def one(vector: Array, comparison: Comparisons | None) -> float:
             if comparison is None:
                 return math.inf
-            if near is not None:
-                comparison.warm_start(near)
+            if near is not None and near.comparison is not None:
+                ways = [(vector - near.vector)[part.shown] for part in self.parts]
+                comparison.warm_start(near.comparison, ways if self.scene.kind == "cloth" else ())
             return self.value(vector, comparison, noise)
 
         with ThreadPoolExecutor(max_workers=self.settings.scene.threads) as pool:

@@ -36,8 +36,9 @@ TWIST_SHOWN, TWIST_SD, TWIST_NOISE = 0.1, 1.0, 2e-4
 """Time in which the twist of a cable is looked for [s], how far hands may be turned about it in
 another recording [rad], and how exact markers and their first motion are [m]."""
 
-FEET = 48
-"""Places along the longer side of a cloth that points may belong to, about."""
+FEET, SAMPLED, PROJECTIONS = 48, 16, 2
+"""Places along the longer side of a cloth that hide others, about, and at least that are looked
+for in clouds; Gauss-Newton steps from the middles of cells to feet."""
 
 ROPE_REACH, CLOTH_REACH = 0.75, 0.02
 """Where `grasp_radius` is not stated: of a rope [diameters], and of two fingertips on a cloth [m].
@@ -280,13 +281,8 @@ def replay(
     on_frame: Callable[[int], None] | None = None,
 ) -> Array:
     """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m]; of a cable
-    with markers beside its axis the line through these.
-
-    Args:
-        scene: What was recorded.
-        thetas: W sets of parameters.
-        keep_going: Leave NaN in worlds that cannot be simulated.
-        on_frame: Called with the number of frames done.
+    with markers beside its axis the line through these. ``on_frame`` is called with the number of
+    frames done; `keep_going` leaves NaN in worlds that cannot be simulated.
 
     Raises:
         SimulationError: A world diverges, and `keep_going` is not set.
@@ -423,15 +419,25 @@ class Shape:
             return
         parts = max(2, round(FEET / max(len(a) - 1, len(b) - 1)))
         self.spacing = float(max(a[1] - a[0], b[1] - b[0])) / parts
-        number = np.arange(len(a) * len(b)).reshape(len(b), len(a))
-        corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
-        cells = np.stack([c.ravel() for c in corners], axis=1)
-        ticks = (np.arange(parts) + 0.5) / parts
-        v, u = (x.ravel() for x in np.meshgrid(ticks, ticks, indexing="ij"))
-        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v], axis=1)
-        index = np.repeat(cells, len(shares), axis=0)
-        self.fine = index, np.tile(shares, (len(cells), 1))
-        self.samples = cells, np.full((len(cells), 4), 0.25)
+        middles = [np.arange(len(k) - 1) + 0.5 for k in self.lattice]
+        every = [max(1, len(k) // SAMPLED) for k in middles]
+        kept = [k[n // 2 :: n] for k, n in zip(middles, every, strict=True)]
+        ticks = [(np.arange(parts * len(k)) + 0.5) / parts for k in middles]
+        self.cells, self.samples, self.fine = (
+            self._places(np.stack(np.meshgrid(*own)).reshape(2, -1))
+            for own in (middles, kept, ticks)
+        )
+
+    def _places(self, at: Array) -> tuple[Array, Array]:
+        """[..., 4] corners of a sheet's cells, and their shares, at places [2, ...] in cells along
+        both sides."""
+        across, up = (len(k) for k in self.lattice)
+        column = np.minimum(at[0], across - 2.0).astype(int)
+        row = np.minimum(at[1], up - 2.0).astype(int)
+        u, v = at[0] - column, at[1] - row
+        shares = (1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v
+        corners = (row * across + column)[..., None] + [0, 1, across, across + 1]
+        return corners, np.stack(shares, axis=-1)
 
     def taken_from(self, other: Shape, values: Array) -> Array:
         """[T, n, ...] at this shape's points, linear between values at those of another one."""
@@ -462,32 +468,54 @@ class Shape:
             foot = np.take_along_axis(a, k[..., None], axis=1)
             foot = foot + share * np.take_along_axis(d, k[..., None], axis=1)
             return np.stack([k, k + 1], axis=2), np.concatenate([1.0 - share, share], axis=2), foot
-        index, weight = self.fine
+        index, weight = self.cells
         places = np.einsum("mk,tmka->tma", weight, x[:, index])
         # trees that are built fast, for about as many queries as they have points
         trees = (KDTree(a, balanced_tree=False, compact_nodes=False) for a in places)
         near = np.stack([tree.query(b)[1] for tree, b in zip(trees, points, strict=True)])
-        foot = np.take_along_axis(places, near[..., None], axis=1)
-        return index[near], weight[near], foot
+        most = np.array([len(k) - 1.0 for k in self.lattice]).reshape(2, 1, 1)
+        at = np.stack(np.divmod(near, len(self.lattice[0]) - 1)[::-1]) + 0.5
+        # points that belonged to such places would pull sheets along themselves: registrations
+        # would creep, and the likelihood jitter
+        for left in range(PROJECTIONS, -1, -1):
+            index, weight = self._places(at)
+            q = taken(x, index)
+            foot = np.einsum("tmk,tmka->tma", weight, q)
+            if not left:
+                break
+            e, ways = points - foot, tangents(q, weight)
+            (A, B), (_, C) = ([(d * other).sum(axis=2) for other in ways] for d in ways)
+            f, g = ((d * e).sum(axis=2) for d in ways)
+            size = np.maximum(A * C - B * B, 1e-3 * A * C + 1e-18)
+            step = np.stack([C * f - B * g, A * g - B * f]) / size
+            at = np.clip(at + np.clip(step, -1.0, 1.0), 0.0, most)
+        return index, weight, foot
 
     def open_to(self, cameras: Array, x: Array, places: Array) -> Array:
         """[m] which samples of a sheet [n, 3], at these places [m, 3], a camera sees."""
         index, weight = self.fine
         return visible_on_sheet(
             places,
-            self.normals(x[None], self.samples[0][None])[0],
+            self.normals(x[None], *(part[None] for part in self.samples))[0],
             np.einsum("mk,mka->ma", weight, x[index]),
             spacing=self.spacing,
             camera_positions=cameras,
         )
 
-    def normals(self, x: Array, index: Array) -> Array:
-        """[T, m, 3] unit normals of sheets' [T, n, 3] cells with corners [T, m, 4]."""
-        q = taken(x, index)
-        along = q[..., 1, :] - q[..., 0, :] + q[..., 3, :] - q[..., 2, :]
-        across = q[..., 2, :] - q[..., 0, :] + q[..., 3, :] - q[..., 1, :]
-        n = np.cross(along, across)
+    def normals(self, x: Array, index: Array, weight: Array) -> Array:
+        """[T, m, 3] unit normals of sheets [T, n, 3] at places in cells with corners [T, m, 4], by
+        the corners' shares."""
+        n = np.cross(*tangents(taken(x, index), weight))
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
+
+
+def tangents(q: Array, weight: Array) -> tuple[Array, Array]:
+    """[..., 3] along a cell's first and second side, at places by the shares [..., 4] of its
+    corners [..., 4, 3]; 1 is from one side to the other."""
+    u, v = (weight[..., k, None] + weight[..., 3, None] for k in (1, 2))
+    edges = (q[..., b, :] - q[..., a, :] for a, b in ((0, 1), (2, 3), (0, 2), (1, 3)))
+    near, far, left, right = edges
+    return near + v * (far - near), left + u * (right - left)
 
 
 def nearest_of(points: Array, places: Array) -> Array:

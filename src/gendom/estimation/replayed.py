@@ -31,15 +31,8 @@ def replay_setup(
     """The scene of all frames of a recording, and an estimate's parameters for it.
 
     For the recording of the estimate, however long, all parameters are taken over. For another
-    one, those that do not belong to the material are estimated again.
-
-    Args:
-        recording: What is replayed.
-        params: An estimate's JSON.
-        where: Its file, for error messages.
-        device: That simulates.
-        engine: None: that of the estimate.
-        on_progress: Called with each iteration of an estimation.
+    one, those that do not belong to the material are estimated again. ``params`` are an estimate's
+    JSON, ``where`` is its file; engine None: that of the estimate.
 
     Raises:
         ParameterError: The parameters cannot be used, or are of the other kind of object.
@@ -111,12 +104,8 @@ def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
-    """The recording of an estimate, by its `Recording.digest`: a file or folder beside it, or one
-    folder above.
-
-    Args:
-        params: The estimate's JSON.
-        where: Its file.
+    """The recording of an estimate's JSON in a file, by its `Recording.digest`: a file or folder
+    beside it, or one folder above.
 
     Raises:
         GendomError: It is not there.

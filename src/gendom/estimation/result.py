@@ -87,15 +87,11 @@ class FittedEstimate(Estimate):
 
 
 def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
-    """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
+    """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m], at
+    positions [T, N, 3] of a scene's frames [m] and a thickness of ``theta``.
 
     Parts of the object below `LiftScene.floor` do not count. Without camera positions a rope is
     seen from above; of a cloth both sides count, which lie where the cloud is.
-
-    Args:
-        scene: What was recorded.
-        x: [T, N, 3] positions at its frames [m].
-        theta: Parameters; the thickness is used.
     """
     skins, cameras = scene.body_of(theta).surface(x), scene.recording.camera_positions
     if scene.kind == "rope" or cameras is not None:

@@ -426,11 +426,8 @@ class LiftScene(Placed):
     def prior(
         self, wanted: tuple[str, ...] = (), also: tuple[str, ...] = ()
     ) -> tuple[Prior, Theta]:
-        """The prior of the unknowns to estimate, and default values of all others.
-
-        Args:
-            wanted: Names; by default what a recording of this kind shows.
-            also: Names of further ones.
+        """The prior of the unknowns of these names (default: what a recording of this kind shows),
+        and also of further ones, and default values of all others.
 
         Raises:
             ParameterError: There is no such unknown, or the object has none, or it cannot be of

@@ -71,7 +71,7 @@ class GaussNewtonSettings:
         small gains do not count."""
         if kind != "cloth":
             return cls()
-        return cls(leading=(), gain=(2.0, 10.0), rugged=True, jumps=(3.0, 6.0, 9.0))
+        return cls(leading=(), gain=(2.0, 10.0), rugged=True)
 
 
 def gauss_newton(
@@ -80,12 +80,8 @@ def gauss_newton(
     *,
     initial: Sequence[Array] = (),
 ) -> Found:
-    """Search, and keep the best so far if interrupted.
-
-    Args:
-        problem: What is looked for.
-        settings: By default those of its kind of object.
-        initial: [P] transformed: where to begin instead of at the best of a scan.
+    """Search, by default with the settings of its kind of object, and keep the best so far if
+    interrupted; ``initial`` [P] are where to begin instead of at the best of a scan.
 
     Raises:
         SimulationError: No start can be simulated.
@@ -103,6 +99,8 @@ def gauss_newton(
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
+        if settings.rugged:  # a limp one needs no fine stage with fewer points
+            problem = problem.finer(best.vector)
         ends = []
         for s in (best, *coarse.rivals(best, starts)):
             fine = Descent(problem, settings, noise, settings.gain[1])
@@ -288,7 +286,7 @@ class Descent:
         rms = [np.inf if c is None else c.rms for c in coarse]
         places = [places[k] for k in np.argsort(rms, kind="stable")[:TRIED]]
         compared = problem.compare(places, derivatives=False)
-        values = problem.values(places, compared, self.noise, former)
+        values = problem.values(places, compared, self.noise, start)
         best = int(np.argmin(values))
         closer = compared[best]
         if closer is None or start.value - values[best] < self.least:
@@ -316,7 +314,7 @@ class Descent:
             assert former is not None
             s.iterations += 1
             compared = [next(tried) for _ in vectors]
-            values = problem.values(vectors, compared, self.noise, former)
+            values = problem.values(vectors, compared, self.noise, s)
             best = int(np.argmin(values))
             (vector, gain, damping), closer = tries[best], compared[best]
             if closer is not None and values[best] < s.value:
@@ -348,6 +346,9 @@ class Descent:
                 s.done = former is None
                 continue
             if former is not None:
+                if self.settings.rugged:
+                    # registered as far as before, or any step would win by a further round
+                    self.problem.value(s.vector, former, self.noise)
                 comparison.warm_start(former)
             s.comparison, s.value = comparison, self.problem.value(s.vector, comparison, self.noise)
 
