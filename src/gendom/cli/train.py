@@ -51,6 +51,8 @@ class Command:
     halve the error of one that sees the parameters. Needs a task with goals."""
     refine_cases: int = 2000
     """Goals and objects of each round, at most."""
+    refine_steps: int = 4000
+    """Of the optimiser in each round; the last has four times as many."""
     engine: Engine = "thin"
     device: str = "cpu"
     """Of simulator and networks: cpu, cuda or cuda:0 and so on."""
@@ -69,7 +71,8 @@ class Command:
 
         open_device(self.device)
         method = self.method or ("distal" if demonstrations.goal_names else "chance")
-        names = ("architecture", "epochs", "batch_size", "refine", "refine_cases", "seed")
+        names = ("architecture", "epochs", "batch_size", "seed")
+        names += ("refine", "refine_cases", "refine_steps")
         own = {name: getattr(self, name) for name in names}
         sees = tuple(name for name in self.condition if name != "none")
         sees = None if sees == ("all",) else sees  # that vary

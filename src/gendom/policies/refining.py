@@ -49,6 +49,10 @@ HUBER_THRESHOLD = 0.03
 STEP_PENALTY = 0.003
 """Weight of the squared distance from the actions that models are of [standard deviations]."""
 
+CAUTION = 0.1
+"""Weight of the risk that is predicted. Far goals are reached near its limit: at 1 they are missed
+by twice as much (docs/notes/policies.md)."""
+
 LEARNING_RATE = 2e-3
 """At its peak."""
 
@@ -110,7 +114,7 @@ def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: 
         total = total + STEP_PENALTY * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
             known = counts[:, G] > 0.0
-            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
+            total = total + CAUTION * problem.caution(found[:, G].masked_fill(~known, -torch.inf))
         return total
 
     rows = torch.arange(len(models["row"]))
