@@ -17,6 +17,7 @@ from gendom import cli
 from gendom.cli.parsing import parse
 from gendom.datasets import Recording
 from gendom.datasets.lerobot import export_recording
+from gendom.materials.estimate import Estimate
 from gendom.perception import read_camera, write_camera
 from perception import conftest as world
 from written import write_ply
@@ -178,3 +179,21 @@ def test_a_folder_of_folders(tmp_path, capsys):
     assert cli.main(["doctor", str(tmp_path), "--json"]) == 0
     steps = json.loads(capsys.readouterr().out)["next"]
     assert [shlex.split(s["command"])[2].split("/")[-1] for s in steps] == ["bags", "pictures"]
+
+
+def test_an_estimate_is_compared_with_a_cantilever_test(tmp_path, capsys):
+    tiny.estimate(tmp_path)
+    file = tmp_path / "estimate.json"
+    found = Estimate.load(file)
+    ends = found.interval("bending_length")
+    assert ends is not None
+    for share, code in ((1.0, 0), (1.0 / 1.05, 0), (0.7, 3), (1.5, 3)):
+        measured = found.bending_length * share
+        assert cli.main(["check", str(file), "--bending-length", str(measured), "--json"]) == code
+        said = json.loads(capsys.readouterr().out)
+        assert said["agree"] is (code == 0) and said["measured"] == measured
+        assert said["interval"] == list(ends)
+    assert cli.main(["check", str(file), "--bending-length", str(found.bending_length * 0.7)]) == 3
+    assert "(+42.9%): they disagree" in capsys.readouterr().out
+    assert cli.main(["check", str(file), "--bending-length", "0"]) == 2
+    assert "--bending-length: is 0; give metres" in capsys.readouterr().err

@@ -260,8 +260,9 @@ class Estimate(Shown):
     def draws(self, count: int, seed: int) -> list[Item]:
         """Plausible objects, all of one size."""
         own = self.of_object(self.names)
-        rng = np.random.default_rng(seed)
-        drawn = rng.multivariate_normal(own.mean, own.covariance, size=count)
+        rng, drawn = np.random.default_rng(seed), np.empty((count, 0))
+        if len(own.mean):  # NumPy has none of no numbers
+            drawn = rng.multivariate_normal(own.mean, own.covariance, size=count)
         return [own.at(vector) for vector in drawn]
 
     # ---- what is uncertain -----------------------------------------------------------------------
