@@ -17,6 +17,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import get_context
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,10 @@ from numpy.polynomial import Legendre, Polynomial
 LENGTH, NU, FRAMES = 0.3, 0.3, 100
 SAG = 0.01 * LENGTH
 EDGES = (6, 8, 10, 12, 16, 20, 24, 32, 40)
+HINGES_NU = -1.0 / 3.0
+"""Poisson's ratio of a lattice of squares whose diagonals take turns (`gendom.reality.objects`)."""
 CORES = len(os.sched_getaffinity(0))
+DEVICE = os.environ.get("RACE_DEVICE", "cpu")
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,7 @@ def gendom(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
         [material] * worlds,
         grippers=[hand],
         physics=Physics(air_density=0.0, gravity=(0.0, 0.0, -item.gravity)),
-        solver=Solver(engine="thin", dtype=dtype, threads=min(worlds, CORES)),
+        solver=Solver(engine="thin", dtype=dtype, device=DEVICE, threads=min(worlds, CORES)),
     )
     simulator.run([1e-6])
     end = np.flatnonzero(body.points[:, 0] > body.points[:, 0].max() - 1e-9)
@@ -238,21 +242,10 @@ def chain(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
     mujoco = load_mujoco()
     integrator, step = option.split()
     steps, step = item.pace(float(step))
-    # a joint bends for half an edge to both sides: the last link is half as long
-    h, d, bodies = LENGTH / edges, item.thickness, ""
-    inertia = np.pi * d**4 / 64.0
-    for i in range(edges):
-        at, long = (h, h) if i else (h / 2.0, h)
-        long = long if i < edges - 1 else h / 2.0
-        m = item.density * np.pi * d**2 / 4.0 * long
-        turning = m * (long**2 / 12.0 + d**2 / 16.0)
-        bodies += f"""
-<body pos="{at} 0 0"><joint type="ball" stiffness="{item.E * inertia / h}"/>
-<inertial pos="{long / 2.0} 0 0" mass="{m}" diaginertia="{m * d**2 / 8.0} {turning} {turning}"/>"""
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco>
   <option timestep="{step}" integrator="{integrator}" gravity="0 0 {-item.gravity}"/>
-  <worldbody>{bodies}<site name="tip" pos="{h / 2.0} 0 0"/>{"</body>" * edges}</worldbody>
+  <worldbody>{links(item, edges, ('type="ball"',))}</worldbody>
 </mujoco>"""
     )
 
@@ -263,6 +256,60 @@ def chain(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
     return steps_of(model, steps, worlds, height), 0.0, 0.0
 
 
+def links(item: Specimen, edges: int, joints: tuple[str, ...]) -> str:
+    """Bodies of a chain. A joint bends for half an edge to both sides: the last link is half as
+    long."""
+    h, d, bodies = LENGTH / edges, item.thickness, ""
+    springs = "".join(
+        f'<joint {joint} stiffness="{item.E * np.pi * d**4 / 64.0 / h}"/>' for joint in joints
+    )
+    for i in range(edges):
+        at, long = (h, h) if i else (h / 2.0, h)
+        long = long if i < edges - 1 else h / 2.0
+        m = item.density * np.pi * d**2 / 4.0 * long
+        turning = m * (long**2 / 12.0 + d**2 / 16.0)
+        bodies += f"""
+<body name="link{i}" pos="{at} 0 0">{springs}
+<inertial pos="{long / 2.0} 0 0" mass="{m}" diaginertia="{m * d**2 / 8.0} {turning} {turning}"/>"""
+    return f'{bodies}<site name="tip" pos="{h / 2.0} 0 0"/>{"</body>" * edges}'
+
+
+def genesis(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
+    """A rope in Genesis as rigid links with springs in two hinges a joint, by its rigid solver."""
+    import genesis as gs  # pyright: ignore[reportMissingImports]
+
+    integrator, step = option.split()
+    steps, step = item.pace(float(step))
+    if not getattr(gs, "_initialized", False):
+        gs.init(backend=gs.cpu, precision="64", logging_level="error")
+    hinges = ('type="hinge" axis="0 1 0"', 'type="hinge" axis="0 0 1"')
+    with NamedTemporaryFile("w", suffix=".xml") as file:
+        file.write(f'<mujoco><worldbody><body name="hand">{links(item, edges, hinges)}</body>'
+                   "</worldbody></mujoco>")  # fmt: skip
+        file.flush()
+        scene = gs.Scene(
+            sim_options=gs.options.SimOptions(dt=step, gravity=(0.0, 0.0, -item.gravity)),
+            rigid_options=gs.options.RigidOptions(
+                enable_collision=False, disable_constraint=True,
+                integrator=getattr(gs.integrator, integrator),
+            ),
+        )  # fmt: skip
+        last = scene.add_entity(gs.morphs.MJCF(file=file.name)).links[-1]
+        scene.build(n_envs=worlds)
+
+    def run() -> np.ndarray:
+        scene.reset()
+        tip = []
+        for _ in range(FRAMES):
+            for _ in range(steps):
+                scene.step()
+            w, x, y, z = last.get_quat()[0].tolist()
+            tip.append(LENGTH / edges * (w * y - x * z) - float(last.get_pos()[0, 2]))
+        return np.array(tip)
+
+    return run, 0.0, 0.0
+
+
 def steps_of(
     model: Any, steps: int, worlds: int, height: Callable[[Any], float]
 ) -> Callable[[], np.ndarray]:
@@ -270,6 +317,8 @@ def steps_of(
     from gendom.reality.model import load_mujoco
 
     mujoco = load_mujoco()
+    if DEVICE != "cpu":
+        return warped(model, steps, worlds, height)
 
     def one(_: int) -> list[float]:
         data, tip = mujoco.MjData(model), []
@@ -284,6 +333,40 @@ def steps_of(
         with ThreadPoolExecutor(CORES) as pool:
             first, *_ = pool.map(one, range(worlds))
         return np.array(first)
+
+    return run
+
+
+def warped(
+    model: Any, steps: int, worlds: int, height: Callable[[Any], float]
+) -> Callable[[], np.ndarray]:
+    """The same by MuJoCo Warp, in float32."""
+    import mujoco_warp  # pyright: ignore[reportMissingImports]
+    import warp as wp
+
+    from gendom.reality.model import load_mujoco
+
+    mujoco = load_mujoco()
+    shown = mujoco.MjData(model)
+    mujoco.mj_forward(model, shown)
+    with wp.ScopedDevice(DEVICE):
+        there = mujoco_warp.put_model(model)
+        data = mujoco_warp.put_data(model, shown, nworld=worlds)
+        mujoco_warp.step(there, data)  # compiles
+        data = mujoco_warp.put_data(model, shown, nworld=worlds)
+        with wp.ScopedCapture() as capture:
+            for _ in range(steps):
+                mujoco_warp.step(there, data)
+    graph = capture.graph
+    assert graph is not None
+
+    def run(_: Any = there) -> np.ndarray:  # the graph needs it
+        tip = []
+        for _ in range(FRAMES):
+            wp.capture_launch(graph)
+            shown.qpos[:] = data.qpos.numpy()[0]
+            tip.append(-height(shown))
+        return np.array(tip)
 
     return run
 
@@ -307,18 +390,10 @@ def elastica(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
 def one_elastica(item: Specimen, edges: int, option: str) -> np.ndarray:
     import elastica as ea  # pyright: ignore[reportMissingImports]
 
-    # an edge whose direction is fixed is clamped up to its middle
-    edge = LENGTH / (edges - 0.5)
-
     class Scene(ea.BaseSystemCollection, ea.Constraints, ea.Forcing):
         pass
 
-    scene = Scene()
-    rod = ea.CosseratRod.straight_rod(
-        edges, np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]),
-        edges * edge, item.thickness / 2.0, item.density,
-        youngs_modulus=item.E, shear_modulus=item.E / 2.0 / (1.0 + NU),
-    )  # fmt: skip
+    scene, (rod, edge) = Scene(), elastic_rod(item, edges, 0.0)
     scene.append(rod)
     scene.constrain(rod).using(
         ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,)
@@ -336,50 +411,147 @@ def one_elastica(item: Specimen, edges: int, option: str) -> np.ndarray:
     return np.array(tip)
 
 
+def elastic_rod(item: Specimen, edges: int, height: float) -> tuple[Any, float]:
+    """PyElastica's rod along x, free from 0 on, and the length of an edge: one whose direction is
+    fixed is clamped up to its middle."""
+    import elastica as ea  # pyright: ignore[reportMissingImports]
+
+    edge = LENGTH / (edges - 0.5)
+    return ea.CosseratRod.straight_rod(
+        edges, np.array([-edge / 2.0, 0.0, height]), np.array([1.0, 0.0, 0.0]),
+        np.array([0.0, 1.0, 0.0]), edges * edge, item.thickness / 2.0, item.density,
+        youngs_modulus=item.E, shear_modulus=item.E / 2.0 / (1.0 + NU),
+    ), edge  # fmt: skip
+
+
 def newton(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
-    """Newton's rod of rigid segments by its solver VBD; ``option``: iterations, and the step [s]. A
-    clamped segment reaches to the middle of its edge."""
+    """Newton's rods by VBD, and its cloths by VBD and Style3D. ``option``: the solver, its
+    iterations (Style3D: and those of its linear solver), the step [s], and how much softer shear
+    and stretch are made, for which its iterations would not suffice. Rods are clamped to the
+    middle of the edge that is held, sheets as MuJoCo's are."""
     import newton as nt  # pyright: ignore[reportMissingImports]
     import warp as wp
 
-    iterations, step = option.split()
+    name, iterations, step, soft = option.split()
     steps, dt = item.pace(float(step))
-    h, area = LENGTH / (edges - 0.5), np.pi * item.thickness**2 / 4.0
-    EI, GJ = item.E * area * item.gyration**2, item.E / (1.0 + NU) * area * item.gyration**2
+    steps, dt = steps + steps % 2, dt * steps / (steps + steps % 2)  # graphs need an even number
+    h = LENGTH / (edges - (0.75 if item.width else 0.5))
     builder = nt.ModelBuilder(gravity=wp.vec3(0.0, 0.0, -item.gravity))
-    nodes = [wp.vec3(float(x), 0.0, 0.0) for x in h * (np.arange(edges + 1) - 0.5)]
+    if name == "style3d":
+        nt.solvers.SolverStyle3D.register_custom_attributes(builder)
     for _ in range(worlds):
-        rod = nt.Rod(
-            nodes, radius=item.thickness / 2.0, stretch_rigidity=item.E * area,
-            shear_rigidity=item.E * area, bend_rigidity=EI, twist_rigidity=GJ,
-        )  # fmt: skip
-        bodies, _ = builder.add_rod(rod=rod)
-        for k, body in enumerate(bodies):
-            mass = item.density * area * h if k else 0.0
-            share = mass / builder.body_mass[body]
-            inertia = share * np.array(builder.body_inertia[body]).reshape(3, 3)
-            builder.body_mass[body] = mass
-            builder.body_inv_mass[body] = 1.0 / mass if mass else 0.0
-            builder.body_inertia[body] = wp.mat33(inertia)
-            inverse = np.linalg.inv(inertia) if mass else np.zeros((3, 3))
-            builder.body_inv_inertia[body] = wp.mat33(inverse)
-    builder.color()
-    model = builder.finalize(device="cpu")
-    solver = nt.solvers.SolverVBD(model, iterations=int(iterations))
+        if item.width:
+            tip = newton_sheet(builder, item, edges, h, name == "style3d", float(soft))
+        else:
+            tip = newton_rod(builder, item, edges, h, float(soft))
+    if name == "vbd":
+        builder.color(include_bending=bool(item.width))
+    model = builder.finalize(device=DEVICE)
+    if name == "vbd":
+        solver = nt.solvers.SolverVBD(model, iterations=int(iterations))
+    else:
+        outer, inner = map(int, iterations.split(","))
+        config = nt.solvers.SolverStyle3D.Config(iterations=outer, linear_iterations=inner)
+        solver = nt.solvers.SolverStyle3D(model, config=config)
+        solver.collision = None
     control = model.control()
 
     def run() -> np.ndarray:
-        states, tip = [model.state(), model.state()], []
-        for _ in range(FRAMES):
+        states, heights, graph = [model.state(), model.state()], [], None
+
+        def frame() -> None:
             for _ in range(steps):
                 states[0].clear_forces()
                 solver.step(*states, control, None, dt)
                 states.reverse()
-            z = states[0].body_q.numpy()[: len(bodies), 2]
-            tip.append(-(1.5 * z[-1] - 0.5 * z[-2]))  # from segments' middles
-        return np.array(tip)
 
-    return run, 0.0, 0.0
+        for k in range(FRAMES):
+            if k == 1 and DEVICE != "cpu":
+                with wp.ScopedCapture() as capture:
+                    frame()
+                graph = capture.graph
+            if graph:
+                wp.capture_launch(graph)
+            else:
+                frame()
+            if item.width:
+                heights.append(-float(states[0].particle_q[tip : tip + 1].numpy()[0, 2]))
+            else:  # from segments' middles
+                z = states[0].body_q[tip - 1 : tip + 1].numpy()[:, 2]
+                heights.append(float(0.5 * z[0] - 1.5 * z[1]))
+        return np.array(heights)
+
+    return run, HINGES_NU if item.width else 0.0, h * even(edges) if item.width else 0.0
+
+
+def even(edges: int) -> int:
+    """Cells across, even in number."""
+    return across(edges) + across(edges) % 2
+
+
+def newton_rod(builder: Any, item: Specimen, edges: int, h: float, soft: float) -> int:
+    import newton as nt  # pyright: ignore[reportMissingImports]
+    import warp as wp
+
+    area = np.pi * item.thickness**2 / 4.0
+    EI, GJ = item.E * area * item.gyration**2, item.E / (1.0 + NU) * area * item.gyration**2
+    nodes = [wp.vec3(float(x), 0.0, 0.0) for x in h * (np.arange(edges + 1) - 0.5)]
+    rod = nt.Rod(
+        nodes, radius=item.thickness / 2.0, stretch_rigidity=item.E * area / soft,
+        shear_rigidity=item.E * area / soft, bend_rigidity=EI, twist_rigidity=GJ,
+    )  # fmt: skip
+    bodies, _ = builder.add_rod(rod=rod)
+    for k, body in enumerate(bodies):
+        mass = item.density * area * h if k else 0.0
+        share = mass / builder.body_mass[body]
+        inertia = share * np.array(builder.body_inertia[body]).reshape(3, 3)
+        builder.body_mass[body] = mass
+        builder.body_inv_mass[body] = 1.0 / mass if mass else 0.0
+        builder.body_inertia[body] = wp.mat33(inertia)
+        inverse = np.linalg.inv(inertia) if mass else np.zeros((3, 3))
+        builder.body_inv_inertia[body] = wp.mat33(inverse)
+    return len(bodies) - 1
+
+
+def newton_sheet(
+    builder: Any, item: Specimen, edges: int, h: float, style: bool, soft: float
+) -> int:
+    import newton as nt  # pyright: ignore[reportMissingImports]
+    import warp as wp
+
+    ends, n, m = (edges, even(edges)), edges + 1, even(edges) + 1
+    ids = np.arange(n * m).reshape(n, m)
+    a, b, c, d = ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]
+    odd = np.add.outer(np.arange(n - 1), np.arange(m - 1))[..., None] % 2
+    one, other = np.stack([a, b, c, a, c, d], -1), np.stack([a, b, d, b, c, d], -1)
+    triangles = np.where(odd, other, one).ravel().tolist()
+    points = np.stack([*np.meshgrid(h * np.arange(n), h * np.arange(m), indexing="ij")], -1)
+    points = np.concatenate([points, np.zeros((n, m, 1))], -1).reshape(-1, 3).tolist()
+    # Springs alike in all hinges, 4/3 of D, are a plate with Poisson's ratio -1/3.
+    K = item.E * item.thickness**3 / 9.0 / (1.0 - HINGES_NU**2)
+    G = item.E * item.thickness / 2.0 / soft
+    first, density = builder.particle_count, item.density * item.thickness
+    common: dict[str, Any] = {"pos": wp.vec3(), "rot": wp.quat_identity(), "vel": wp.vec3()}
+    common |= {"vertices": points, "indices": triangles, "density": density}
+    common |= {"tri_kd": 0.0, "edge_kd": 0.0}
+    if style:  # springs of 3 L^2 over the faces' area; a 32nd of those along sides at diagonals
+        nt.solvers.style3d.add_cloth_mesh(
+            builder, tri_aniso_ke=wp.vec3(2.0 * G, 2.0 * G, G),
+            edge_aniso_ke=wp.vec3(K / 3.0, K / 3.0, K / 6.0 - K / 96.0), **common,
+        )  # fmt: skip
+    else:  # springs of the edge's length
+        edge = len(builder.edge_indices)
+        builder.add_cloth_mesh(scale=1.0, tri_ke=G, tri_ka=G, edge_ke=K, **common)
+        for k in range(edge, len(builder.edge_indices)):
+            long = builder.edge_rest_length[k]
+            builder.edge_bending_properties[k] = (K / long, 0.0)
+    shares = np.outer(*(np.where(np.arange(e + 1) % e, 1.0, 0.5) for e in ends)).ravel()
+    for k in range(n * m):
+        held = k < 2 * m
+        builder.particle_mass[first + k] = 0.0 if held else float(shares[k] * h**2 * density)
+        if held:
+            builder.particle_flags[first + k] &= ~nt.ParticleFlags.ACTIVE
+    return edges * m + (m - 1) // 2
 
 
 FLEX = ("0.001", "0.002", "0.004", "0.008", "0.016")
@@ -402,7 +574,14 @@ CANTILEVERS: dict[str, dict[str, tuple[Callable[..., Prepared], tuple[str, ...]]
             ),
         ),
         "elastica": (elastica, ("0.5", "0.25", "0.125", "0.0625")),
-        "newton-vbd": (newton, tuple(f"{n} {s}" for n in (5, 20) for s in ("0.002", "0.004"))),
+        "genesis": (
+            genesis,
+            tuple(f"approximate_implicitfast {s}" for s in ("0.001", "0.002", "0.004")),
+        ),
+        "newton-vbd": (
+            newton,
+            ("vbd 5 0.001 16",),
+        ),
     },
     "cantilever-strip": {
         "gendom": (gendom, ("float64",)),
@@ -410,6 +589,8 @@ CANTILEVERS: dict[str, dict[str, tuple[Callable[..., Prepared], tuple[str, ...]]
         "gendom-soft": (gendom, ("float64 16",)),
         "gendom-soft-f32": (gendom, ("float32 16",)),
         "mujoco-flex": (flex, FLEX),
+        "newton-vbd": (newton, ("vbd 3 0.004 4096", "vbd 3 0.008 4096")),
+        "newton-style3d": (newton, ("style3d 4,20 0.032 4096",)),
     },
 }
 """``soft``: `Material(membrane=)` of E / 16; as far as the strip only bends, its plane does not

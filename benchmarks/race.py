@@ -1,6 +1,7 @@
 """The race at equal error: what ropes and cloths cost in simulators, alone and many at once.
 
     python benchmarks/race.py [SCENE ...] [--rounds 3] [--worlds 1 64] [--json] [--figure FILE]
+    RACE_DEVICE=cuda python benchmarks/race.py SCENE --only '["gendom", [[16, "float64", 1024]]]'
 
 Scenes: a cantilevered rope and strip (``cantilever.py``, beside theory); the lift of a rope and of
 a cloth from a table by one end, and a cloth that stands askew on the table and falls onto itself,
@@ -8,8 +9,9 @@ each beside that simulator's own finest run. An error is the root mean square ov
 over the static sag, the height of the lift, or that of the cloth. Numbers of edges and steps are
 first surveyed; then, for each simulator and each bound on the error, the cheapest that keeps it is
 timed: CPU seconds for one simulated, medians of rounds in which the simulators take turns.
-``--worlds`` then times many at once on all cores, by the clock, at 1 %. Peers have environments of
-their own (``make -C benchmarks peers``); one that is not there is a row with its reason.
+``--worlds`` then times many at once on all cores, by the clock, at 1 %. ``--only`` runs one setting
+(edges, option, worlds), here on a GPU (MuJoCo by MuJoCo Warp). Peers have environments of their own
+(``make -C benchmarks peers``); one that is not there is a row with its reason.
 """
 
 import argparse
@@ -22,11 +24,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cantilever import CANTILEVERS, CORES, LENGTH, NU, ROPE, SAG, STRIP, theory
+from cantilever import CANTILEVERS, CORES, DEVICE, LENGTH, NU, ROPE, SAG, STRIP, elastic_rod, theory
 
 BOUNDS = (0.02, 0.01, 0.005)
 EDGES = (6, 8, 10, 12, 16, 20, 24, 32, 40)
@@ -72,7 +75,7 @@ def gendom(scene: str, edges: int, option: str, worlds: int) -> Run:
         body, [own] * worlds, grippers=() if falls else [hand],
         table=Table(height=0.0, friction=FRICTION),
         physics=Physics(air_density=0.0, self_contact=falls, self_friction=FRICTION),
-        solver=Solver(engine="thin", dtype=option, threads=min(worlds, CORES)),
+        solver=Solver(engine="thin", dtype=option, device=DEVICE, threads=min(worlds, CORES)),
         positions=upright(body.points, ROOM) if falls else None,
     )  # fmt: skip
     simulator.run([1e-6])
@@ -150,6 +153,55 @@ def mujoco(scene: str, edges: int, option: str, worlds: int) -> Run:
     return run
 
 
+def elastica(scene: str, edges: int, option: str, worlds: int) -> Run:
+    """PyElastica's rod on a plane; ``option``: the step over an edge's length at the speed of
+    sound. It has no damping of a material: this is of velocities, 1 /s. A world at a time."""
+    import elastica as ea  # pyright: ignore[reportMissingImports]
+
+    low, top = ROPE.thickness / 2.0, RISE / SPEED
+    mu = np.full(3, FRICTION)
+
+    class Scene(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Contact, ea.Damping):
+        pass
+
+    class Hand(ea.ConstraintBase):
+        def constrain_values(self, system: Any, time: float) -> None:
+            system.position_collection[:, 0] = -edge / 2.0, 0.0, low + SPEED * min(time, top)
+            system.director_collection[..., 0] = along
+
+        def constrain_rates(self, system: Any, time: float) -> None:
+            system.velocity_collection[:, 0] = 0.0, 0.0, SPEED * (time < top)
+            system.omega_collection[:, 0] = 0.0
+
+    scene_, (rod, edge) = Scene(), elastic_rod(ROPE, edges, low)
+    along = rod.director_collection[..., 0].copy()
+    steps = int(np.ceil(TIMES[0] / (float(option) * edge / np.sqrt(ROPE.E / ROPE.density))))
+    dt = TIMES[0] / steps
+    plane = ea.Plane(plane_origin=np.zeros((3, 1)), plane_normal=np.eye(3)[:, 2:])
+    scene_.append(rod)
+    scene_.append(plane)
+    scene_.constrain(rod).using(Hand)
+    scene_.add_forcing_to(rod).using(ea.GravityForces, acc_gravity=np.array([0.0, 0.0, -9.81]))
+    scene_.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=1.0, time_step=dt)
+    scene_.detect_contact_between(rod, plane).using(
+        ea.RodPlaneContactWithAnisotropicFriction, k=1000.0, nu=0.05,
+        slip_velocity_tol=1e-3, static_mu_array=mu, kinetic_mu_array=mu,
+    )  # fmt: skip
+    scene_.finalize()
+
+    def run() -> np.ndarray:
+        stepper, now, frames = ea.PositionVerlet(), 0.0, []
+        for _ in TIMES:
+            for _ in range(steps):
+                now = stepper.step(scene_, now, dt)
+            frames.append(rod.position_collection.T.copy())
+        x = np.array(frames)[:, :, None]
+        x[:, 0] = 0.5 * (x[:, 0] + x[:, 1])
+        return seen(x, False)
+
+    return run
+
+
 def own(
     edges: tuple[int, ...], finest: tuple[int, int], steps: tuple[str, ...], least: str
 ) -> dict[str, tuple[Callable[..., Run], tuple[str, ...], tuple[int, ...], tuple[int, str]]]:
@@ -162,9 +214,10 @@ def own(
 
 
 OWN = {
-    "lift-rope": own((8, 12, 16, 24, 32), (64, 40), ("0.001", "0.002", "0.004"), "0.0005"),
+    "lift-rope": own((8, 12, 16, 24, 32), (64, 40), ("0.001", "0.002", "0.004"), "0.0005")
+    | {"elastica": (elastica, ("0.25", "0.0625"), (12, 16, 24, 32), (48, "0.125"))},
     "lift-cloth": own((8, 12, 16, 24), (48, 32), ("0.002", "0.004", "0.008"), "0.001"),
-    "fall-cloth": own((8, 12, 16), (24, 24), ("0.001", "0.002", "0.004"), "0.001"),
+    "fall-cloth": own((12, 16, 24), (32, 24), ("0.001", "0.002", "0.004"), "0.001"),
 }
 SCENES = [*CANTILEVERS, *OWN]
 
@@ -174,7 +227,8 @@ def measured(scene: str, name: str, edges: int, option: str, worlds: int) -> dic
     theoretical = scene in CANTILEVERS
     item, prepare = ROPE if "rope" in scene else STRIP, (CANTILEVERS | OWN)[scene][name][0]
     lasts, cpus = float(item.times[-1] if theoretical else LAST), []
-    compiles = worlds == 1 and not name.startswith("mujoco")  # in a first run, which is left out
+    # in a first run, which is left out
+    compiles = DEVICE != "cpu" or (worlds == 1 and not name.startswith("mujoco"))
     for _ in range(2 if compiles else 1):
         made: Any = prepare(item if theoretical else scene, edges, option, worlds)
         run = made[0] if theoretical else made
@@ -198,10 +252,10 @@ def ask(scene: str, name: str, runs: list[tuple[int, str, int]]) -> list[dict[st
     """Runs in a process of the simulator's own, on one core unless there are many worlds; or why
     there are none."""
     peer = name.split("-")[0]
-    own = Path(__file__).parent / f".envs/{peer}/bin/python"
-    python = Path(sys.executable) if peer in ("gendom", "mujoco") else own
-    if not python.exists():
+    python = Path(__file__).parent / f".envs/{peer}/bin/python"
+    if not python.exists() and not find_spec(peer):
         return f"not installed: no {python}"
+    python = python if python.exists() else Path(sys.executable)
     done = subprocess.run(
         [str(python), __file__, scene, "--only", json.dumps([name, runs])],
         env={**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
@@ -278,20 +332,27 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, nargs="*", default=[1, 16, 64])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--figure", type=Path, help="seconds over error, as SVG")
-    parser.add_argument("--only", help=argparse.SUPPRESS)
+    parser.add_argument("--results", type=Path, nargs="*", default=[],
+                        help="of --json, to draw in place of a race")  # fmt: skip
+    parser.add_argument("--only", help="a simulator and its runs, as JSON")
     given = parser.parse_args()
     if given.only:
         name, runs = json.loads(given.only)
         with np.errstate(all="ignore"):
             print(json.dumps([measured(given.scenes[0], name, *run) for run in runs]))
         return
-    found = {}
-    for scene in given.scenes or SCENES:
+    found: dict[str, Any] = {}
+    for one in given.results:
+        for scene, more in json.loads(one.read_text()).items():
+            found.setdefault(scene, {"cpu": {}, "settings": {}})["settings"] |= more["settings"]
+            for bound, costs in more["cpu"].items():
+                found[scene]["cpu"].setdefault(bound, {}).update(costs)
+    for scene in () if given.results else given.scenes or SCENES:
         found[scene] = raced(scene, given.rounds, given.worlds)
         if not given.json:
             show(scene, found[scene])
     if given.json:
-        print(json.dumps(found if len(found) > 1 else found[scene], indent=2))
+        print(json.dumps(found, indent=2))
     if given.figure:
         draw(found, given.figure)
 
@@ -312,19 +373,30 @@ def draw(found: dict[str, Any], path: Path) -> None:
     """CPU seconds over the error that is kept, a panel a scene."""
     import matplotlib.pyplot as plt
 
-    versions = {name: version(name) for name in ("gendom", "mujoco")}
-
-    figure, axes = plt.subplots(1, len(found), figsize=(3.2 * len(found), 3.4), squeeze=False)
+    figure, axes = plt.subplots(1, len(found), figsize=(3.2 * len(found), 3.9), squeeze=False)
+    names = list(dict.fromkeys(name for one in found.values() for name in one["settings"]))
+    lines = {}
     for axis, (scene, one) in zip(axes[0], found.items(), strict=True):
         for name, kept in one["settings"].items():
             at = [b for b in kept if name in one["cpu"].get(b, {})]
-            label = f"{name} {versions.get(name.split('-')[0], '')}"
-            axis.loglog([100.0 * float(b) for b in at], [one["cpu"][b][name] for b in at],
-                        "o-", label=label)  # fmt: skip
+            (lines[name],) = axis.loglog(
+                [100.0 * float(b) for b in at], [one["cpu"][b][name] for b in at],
+                "o-" if name.startswith("gendom") else "s--", color=f"C{names.index(name)}",
+            )  # fmt: skip
+        bounds = [100.0 * b for b in BOUNDS]
         axis.set(title=scene, xlabel="error [%]", ylabel="CPU s a simulated s")
-        axis.legend(fontsize=6)
-    figure.tight_layout()
+        axis.set_xticks(bounds, [f"{b:g}" for b in bounds])
+        axis.set_xticks([], minor=True)
+    labels = [f"{name} {released(name.split('-')[0])}" for name in lines]
+    figure.legend(lines.values(), labels, loc="lower center", ncols=6, fontsize=8)
+    figure.tight_layout(rect=(0, 0.13, 1, 1))
     figure.savefig(path)
+
+
+def released(peer: str) -> str:
+    """A simulator's version: of a peer, the one that is installed for it."""
+    pinned = Path(__file__).parent / f"peers/{peer}.txt"
+    return pinned.read_text().split("==")[-1].strip() if pinned.exists() else version(peer)
 
 
 if __name__ == "__main__":
