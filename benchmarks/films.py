@@ -1,6 +1,6 @@
 """Films: a soft and a stiff object that a shipped policy brings to one goal, in our simulator; a
 cloth let down, dropped and pulled apart; a rope that falls into a loop; one over a bar, and a cloth
-over a sphere.
+over a sphere; and, in the MuJoCo test scene, a limp cloth that the arm drags open.
 
     python benchmarks/films.py docs/images       # rope-reaching.gif and so on, thin-cloth.gif, ...
 """
@@ -10,9 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from gendom.materials import Cloth, Item, Material, Rope
+from gendom.arrays import placed
+from gendom.materials import Cloth, Item, Material, Rope, size_of
 from gendom.policies import Policy
+from gendom.reality.model import looking_at
+from gendom.reality.objects import as_real
+from gendom.reality.trials import TrialRun, lift_cameras, task_trial
 from gendom.sim import (
     Capsule,
     Gripper,
@@ -23,7 +28,9 @@ from gendom.sim import (
     cloth,
     rope,
 )
-from gendom.tasks import Observed
+from gendom.tasks import ClothDragging, Observed
+from gendom.tasks.cloth_dragging import MOTIONS
+from gendom.tasks.cloth_spreading import lattice_triangles, spread_areas
 from gendom.tasks.world import Simulation
 from gendom.viz import Animation, Layer, object_layer, save, write_film
 from gendom.viz.layers import goal_layer, observed_layer
@@ -32,6 +39,9 @@ from gendom.viz.palette import RECORDED_COLOR
 FABRIC = Material(E=4.0e5, nu=0.3, density=400.0, damping=0.01)
 SIZE = 0.3
 FRAMES_A_SECOND = 20
+
+LIMP = (901, 5)
+"""Draws the cloth that the arm drags open."""
 
 
 def _rope(E: float) -> Rope:
@@ -65,6 +75,7 @@ def main() -> None:
     write_film(out / "thin-cloth.gif", crumpled())
     write_film(out / "thin-rope.gif", coiled())
     over_obstacles(out)
+    dragged(out / "cloth-dragging-arm.gif")
 
 
 def one_goal(name: str, soft: Item, stiff: Item) -> Animation:
@@ -159,6 +170,32 @@ def over_obstacles(out: Path) -> None:
     ):
         s = Simulator(body, [fabric], table=table, obstacles=[obstacle])
         save(out / f"{name}.gif", s, s.run(times), times)
+
+
+def dragged(path: Path) -> None:
+    """A limp cloth of the MuJoCo test scene, which the arm drags open by the fourth motion."""
+    task = ClothDragging()
+    item = replace(as_real(task.draw_item(np.random.default_rng(LIMP))), colour=(40, 70, 190))
+    motion = np.array(MOTIONS[3]) * task.action_units(item)
+    trial = task_trial(task, item, task.nearest(item, motion))
+    ends = np.array([trial.path.position.min(axis=0), trial.path.position.max(axis=0)])
+    centre = np.r_[ends[:, :2].mean(axis=0), 0.1]
+    width, height, focal = 400, 250, 350.0
+    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+    pose = looking_at(centre + np.array([0.7, 0.1, 0.5]), centre)
+    camera = replace(lift_cameras(item)[0], width=width, height=height, K=K, T_world_camera=pose)
+    run, images = TrialRun(trial, cameras=[camera]), []
+    with run.world:
+        for moment in np.arange(run.closes, run.end, 0.1):
+            run.step_to(float(moment))
+            images.append(Image.fromarray(run.world.render(0)[1]))
+    x = placed(np.linalg.inv(task.T_world_task(item)), run.world.vertices()) / size_of(item)
+    share, _ = spread_areas(x, lattice_triangles(item.vertices, item.vertices))
+    print(f"{path.name}: {share:.2f} lie spread")
+    few = Image.fromarray(np.concatenate([np.asarray(images[k]) for k in (0, 20, -1)])).quantize(48)
+    images = [image.quantize(palette=few, dither=Image.Dither.NONE) for image in images]
+    lasts = [100] * (len(images) - 1) + [1500]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=lasts, loop=0)
 
 
 if __name__ == "__main__":

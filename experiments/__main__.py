@@ -28,8 +28,8 @@ TABLES = {
     "at equal simulator time, in our simulator and carried out by the arm; and by `adapt` and "
     "iterative learning from execution to execution",
     "wiggle": "networks from a lift's clouds to parameters, then CMA-ES, or straight to actions",
-    "cloth-real": "two cloths of that scene, each lifted once, spread by policies and by the A "
-    "that spreads most in our simulator",
+    "cloth-real": "six cloths of that scene, or drawn ones, each lifted once, then spread or "
+    "dragged by the policy, with parameters from the lift, with true ones and without",
     "coverage": "random objects of that scene are lifted, recorded and estimated: errors, share of "
     "shipped intervals that hold the truth, refused lifts; a lift takes about a minute on a core",
     "sbc": "simulation-based calibration: ranks of truths that are drawn from the priors, in the "
@@ -68,9 +68,9 @@ def parser() -> argparse.ArgumentParser:
     )
     add(
         "--task",
-        choices=("rope-reaching", "rope-casting"),
-        default="rope-reaching",
-        help="of ablation, generalization, planning, rope-real and wiggle",
+        choices=("rope-reaching", "rope-casting", "cloth-spreading", "cloth-dragging"),
+        help="of ablation, generalization, planning, rope-real and wiggle (default: "
+        "rope-reaching), and of cloth-real (cloth-spreading)",
     )
     add(
         "--method",
@@ -140,6 +140,12 @@ def parser() -> argparse.ArgumentParser:
         default=40,
         help="of coverage, verdict, calibration, sbc, two-hands and npe: how many",
     )
+    add(
+        "--drawn",
+        type=int,
+        default=0,
+        help="of cloth-real: so many cloths of the task's ranges in place of named ones",
+    )
     add("--jobs", type=int, default=2, help="processes of the MuJoCo test scene and of training")
     add(
         "--out",
@@ -163,8 +169,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if flags.seed is None:
         reported = flags.table == "coverage" and not flags.calibrate
         flags.seed = FIRST_REPORTED if reported else 0
-    if min(flags.lifts, flags.jobs) < 1 or flags.seed < 0:
-        parser().error("--lifts and --jobs must be at least 1, --seed at least 0")
+    kind = "cloth" if flags.table == "cloth-real" else "rope"
+    flags.task = flags.task or {"cloth": "cloth-spreading", "rope": "rope-reaching"}[kind]
+    if not flags.task.startswith(kind):
+        parser().error(f"{flags.table} takes tasks of a {kind}, not {flags.task}")
+    if min(flags.lifts, flags.jobs) < 1 or min(flags.seed, flags.drawn) < 0:
+        parser().error("--lifts and --jobs must be at least 1, --seed and --drawn at least 0")
     logging.basicConfig(format="%(message)s")
     logging.getLogger("experiments").setLevel(logging.INFO)
     folder = flags.out or Path(flags.table)

@@ -1,39 +1,54 @@
 """The paper's table of real cloths, in the MuJoCo test scene: each cloth is lifted once, then
-spread. Its true parameters serve only for the score, and for the row that is labelled so. Trials of
-a cloth differ in where the hand closes.
+spread, or dragged until it lies spread (`--task cloth-dragging`). Its true parameters serve only
+for the score, and for the row that is labelled so. Trials of a cloth differ in where the hand
+closes.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.runs import Result, Runs, Table, TrainingJob, stated
+from experiments.runs import Result, Runs, Table, stated
 from gendom.errors import GendomError
-from gendom.materials import Item
-from gendom.materials.estimate import Estimate
+from gendom.materials import dimensionless_parameters
 from gendom.policies import Policy
-from gendom.tasks import ClothSpreading
-from gendom.tasks.cloth_spreading import CHOICES, OFF_CENTRE
-from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Simulation
+from gendom.tasks import ClothSpreading, Task, find_task
+from gendom.tasks.cloth_dragging import ClothDragging
+from gendom.tasks.cloth_spreading import OFF_CENTRE, SPREAD
+
+if TYPE_CHECKING:
+    from gendom.reality import RealCloth
 
 Array = NDArray[np.float64]
 
-CLOTHS = ("cloth-cotton-200mm", "cloth-rubber-200mm")
-"""Of the second reality, as the paper's."""
+ASSETS = Path(__file__).parent / "assets"
+"""Where cloths lie as files that the second reality does not name."""
+
+CLOTHS = (
+    "cloth-cotton-200mm", "cloth-denim", "cloth-rubber-200mm", "cloth-canvas", "paper-cotton",
+    "paper-rubber",
+)  # fmt: skip
+"""The second reality's, named after the paper's two; between and beyond them a denim and a canvas
+(`gendom.materials.catalogue`); and sheets that bend as the paper's own estimates say, over 0.19 and
+0.43 of their sides."""
 
 PAPER = {
     "ours": {"cloth-cotton-200mm": 0.78, "cloth-rubber-200mm": 0.98},
     "ours, no parameters": {"cloth-cotton-200mm": 0.52, "cloth-rubber-200mm": 0.97},
 }
 """Extended ratios in the paper, of its cotton and its rubber cloth."""
+
+COLOUR = (40, 70, 190)
+"""Of drawn cloths, by which cameras find them (sRGB)."""
 
 HAND = 0.01
 """Standard deviation of where the hand closes, along each side [sides]."""
@@ -51,75 +66,68 @@ _STREAM = 7
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Numbers of simulations, trainings and trials."""
+    """What is done with which cloths."""
 
     trials: int
     """Of each cloth and row."""
-    demonstrations: int
-    """Simulated; 0: the policy that ships. Without parameters it acts for `DRAWN` cloths of the
-    task's ranges."""
-    draws: int
-    """Objects of the posterior for which an action is searched."""
-    epochs: int = 150
-    steps: int = 3000
-    """Of the optimiser in each training, at least."""
+    task: Task = field(default_factory=ClothSpreading)
+    cloths: Sequence[str] = CLOTHS
+    drawn: int = 0
+    """Cloths of the task's ranges in place of these."""
+
+    @property
+    def names(self) -> list[str]:
+        return [f"drawn-{k}" for k in range(self.drawn)] or list(self.cloths)
 
 
-SCALES = {
-    "small": Settings(trials=1, demonstrations=0, draws=2),
-    "full": Settings(trials=5, demonstrations=6000, draws=8),
-}
+SCALES = {"small": 1, "full": 5}
+"""Trials of each cloth and row."""
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
-    """Measure all rows, and show a table for each cloth."""
-    figures = cloth_real(runs, SCALES[flags.scale], flags.objects or CLOTHS)
-    return Result(name="cloth-real", figures=figures, shown=tables_of(figures))
+    """Measure all rows, and show a table for each cloth, or for each quarter of drawn ones."""
+    settings = Settings(
+        trials=SCALES[flags.scale], task=find_task(flags.task)(), drawn=flags.drawn,
+        cloths=flags.objects or CLOTHS,
+    )  # fmt: skip
+    figures = cloth_real(runs, settings)
+    shown = quarters_of(figures) if settings.drawn else tables_of(figures)
+    return Result(name="cloth-real", figures=figures, shown=shown)
 
 
-def cloth_real(runs: Runs, settings: Settings, cloths: Sequence[str] = CLOTHS) -> dict[str, Any]:
-    """Measure all rows; each trial is kept by itself.
+def cloth_real(runs: Runs, settings: Settings) -> dict[str, Any]:
+    """Measure all rows; each estimate and trial is kept by itself.
 
     Returns:
-        JSON: estimates; where the hand closed in each trial [sides]; for each cloth its rows with
-        A and, by trial, `MEASURED`, null where the arm or the simulation failed. A cloth whose
-        estimate is not usable has the reason, and no rows that need one.
+        JSON: estimates; where the hand closed in each trial [sides]; for each cloth its true
+        bending length [sides] and its rows with the action, in units of similarity, and, by trial,
+        `MEASURED`, null where the arm or the simulation failed. A cloth whose estimate is not
+        usable has the reason, and no rows that need one.
 
     Raises:
         DeviceError: The second reality cannot be simulated or rendered here.
-        ModuleNotFoundError: Torch is missing, and policies are to be trained.
     """
-    from gendom.reality import find_object
-
-    policy = _policy(runs, settings)
-    rng = np.random.default_rng([runs.seed, _STREAM])
-    some = [ClothSpreading().draw_item(rng) for _ in range(DRAWN)]
-    estimates, rows = {}, {}
-    for name in cloths:
-        item = find_object(name)
-        A = {"ours, no parameters": _acts(policy, some)}
-        try:
-            belief = runs.lifted(name, ClothSpreading())
-        except GendomError as error:
-            estimates[name] = {"refused": str(error).splitlines()[0]}
-        else:
-            estimates[name] = stated(belief)
-            A["ours"] = _acts(policy, belief.draws(DRAWN, runs.seed))
-            A["searched"] = _searched(runs, settings, name, belief)
-        A["ours, true parameters"] = _acts(policy, [item])
-        rows[name] = {row: {"A": round(value, 4)} for row, value in A.items()}
-
+    names = settings.names
+    told = runs.each(partial(_acted, runs, settings), names, "cloths")
+    found = dict(zip(names, told, strict=True))
     hands = _hands(runs.seed, settings.trials)
-    trials = sorted({(n, row["A"], k) for n, of in rows.items() for row in of.values()
-                     for k in range(settings.trials)})  # fmt: skip
-    found = dict(
-        zip(trials, runs.each(partial(_trial, runs, hands), trials, "trials"), strict=True)
-    )
-    for name, of in rows.items():
-        for row in of.values():
-            own = [found[name, row["A"], k] for k in range(settings.trials)]
-            row |= {key: [trial[key] for trial in own] for key in MEASURED}
-    return {"estimates": estimates, "hands": hands.tolist(), "cloths": rows}
+    every = {(n, tuple(action)) for n, of in found.items() for action in of["actions"].values()}
+    trials = [(*of, k) for of in sorted(every) for k in range(settings.trials)]
+    made = runs.each(partial(_trial, runs, settings, hands), trials, "trials")
+    seen = dict(zip(trials, made, strict=True))
+    rows = {}
+    for name, of in found.items():
+        rows[name] = {}
+        for row, action in of["actions"].items():
+            own = [seen[name, tuple(action), k] for k in range(settings.trials)]
+            rows[name][row] = {"action": action} | {m: [o[m] for o in own] for m in MEASURED}
+    return {
+        "task": settings.task.name,
+        "hands": hands.tolist(),
+        "estimates": {name: of["estimate"] for name, of in found.items()},
+        "bending_lengths": {name: of["bending_length"] for name, of in found.items()},
+        "cloths": rows,
+    }
 
 
 def _hands(seed: int, trials: int) -> Array:
@@ -129,68 +137,68 @@ def _hands(seed: int, trials: int) -> Array:
     return np.array(OFF_CENTRE) + away
 
 
-def _policy(runs: Runs, settings: Settings) -> Policy:
-    task = ClothSpreading()
-    if settings.demonstrations == 0:
-        return Policy.pretrained(task.name)
-    from gendom.policies.fitting import Training
+def _item(runs: Runs, settings: Settings, name: str) -> RealCloth:
+    """A cloth of the MuJoCo test scene: a named one, one of `ASSETS`, or one that is drawn."""
+    from gendom.reality import find_object
+    from gendom.reality.objects import as_real
 
-    data = runs.demonstrations(
-        f"{task.name}-tried", Demonstrator(task=task), settings.demonstrations
-    )
-    training = Training(method="chance", epochs=settings.epochs, seed=runs.seed)
-    name = f"{task.name}-ours"
-    job = TrainingJob.of_steps(data, training, settings.steps)
-    return runs.policies({name: job})[name]
-
-
-def _acts(policy: Policy, items: Sequence[Item]) -> float:
-    """A for whichever of these it is."""
-    return policy.act((), items[0], likely=items, force=True).action["A"]
+    if settings.drawn:
+        rng = np.random.default_rng([runs.seed, int(name.rpartition("-")[2])])
+        item = replace(as_real(settings.task.draw_item(rng)), name=name, colour=COLOUR)
+    else:
+        own = ASSETS / f"{name}.toml"
+        item = find_object(str(own) if own.is_file() else name)
+    return cast("RealCloth", item)
 
 
-def _searched(runs: Runs, settings: Settings, name: str, belief: Estimate) -> float:
-    """The A that spreads most in our simulator, in the mean over the posterior of an estimate."""
-
-    def make() -> dict[str, Any]:
-        items = belief.draws(settings.draws, runs.seed)
-        found = Simulation(device=runs.device).carry_out(
-            ClothSpreading(),
-            [item for item in items for _ in CHOICES],
-            np.tile(CHOICES, len(items))[:, None],
-        )
-        # a failed trial spreads nothing
-        share = np.array([o.values.get("share", 0.0) for o in found])
-        mean = share.reshape(len(items), -1).mean(axis=0)
-        return {"A": CHOICES, "share": mean.tolist(), "best": CHOICES[int(mean.argmax())]}
-
-    kept = runs.kept(f"{name}, searched, {settings.draws} draws, seed {runs.seed}", make)
-    return float(kept["best"])
+def _acted(runs: Runs, settings: Settings, name: str) -> dict[str, Any]:
+    """What is estimated of a cloth, and the policy's actions by row."""
+    item, task = _item(runs, settings, name), settings.task
+    policy, rng = Policy.pretrained(task.name), np.random.default_rng([runs.seed, _STREAM])
+    likely = {
+        "ours, no parameters": [task.draw_item(rng) for _ in range(DRAWN)],
+        "ours, true parameters": [item],
+    }
+    found: dict[str, Any] = {"bending_length": dimensionless_parameters(item)["bending_ratio"]}
+    try:
+        belief = runs.lifted(name, task, item)
+    except GendomError as error:
+        found["estimate"] = {"refused": str(error).splitlines()[0]}
+    else:
+        found["estimate"], likely["ours"] = stated(belief), belief.draws(DRAWN, runs.seed)
+    acts = {row: policy.act((), own[0], likely=own, force=True) for row, own in likely.items()}
+    units = task.action_units(item)
+    return found | {"actions": {r: (np.array(a.values) / units).tolist() for r, a in acts.items()}}
 
 
 def _trial(
-    runs: Runs, hands: Array, trial: tuple[str, float, int]
+    runs: Runs, settings: Settings, hands: Array, trial: tuple[str, tuple[float, ...], int]
 ) -> dict[str, float | str | None]:
-    """`MEASURED` of a trial: a cloth's name, A and the number of the hand's place."""
-    from gendom.reality import RealWorld, find_object
+    """`MEASURED` of a trial: a cloth's name, an action [units of similarity] and the number of the
+    hand's place."""
+    from gendom.reality import RealWorld
 
-    name, A, k = trial
+    name, action, k = trial
+    item = _item(runs, settings, name)
 
     def make() -> dict[str, Any]:
-        task = ClothSpreading(off_centre=tuple(hands[k].tolist()))
-        (outcome,) = RealWorld().carry_out(task, [find_object(name)], [[A]])
+        task = replace(settings.task, off_centre=tuple(hands[k].tolist()))
+        wanted = task.nearest(item, np.array(action) * task.action_units(item))
+        (outcome,) = RealWorld().carry_out(task, [item], [wanted])
         return {key: outcome.values.get(key) for key in MEASURED} | {"fault": outcome.fault}
 
-    return runs.kept(f"{name}, A {A:.4f}, trial {k}, seed {runs.seed}", make)
+    said = hashlib.sha256(repr(action).encode()).hexdigest()[:8]
+    return runs.kept(f"{settings.task.name}, {name}, {said}, trial {k}, seed {runs.seed}", make)
 
 
 def tables_of(result: Mapping[str, Any]) -> list[Table]:
     """A table for each cloth."""
-    head = ("A", "extended ratio", "std", "paper", "share spread", "std", "failed")
+    head = ("action", "extended ratio", "std", "paper", "share spread", "std", "failed")
     found = []
     for name, rows in result["cloths"].items():
         refused = result["estimates"][name].get("refused")
-        title = f"{name}, estimate refused: {refused}" if refused else name
+        title = f"{name}, bends over {result['bending_lengths'][name]:.3f} sides"
+        title += f", estimate refused: {refused}" if refused else ""
         texts = {row: _texts(name, row, figures) for row, figures in rows.items()}
         found.append(Table(title=title, head=head, rows=texts))
     return found
@@ -204,9 +212,33 @@ def _texts(name: str, row: str, figures: Mapping[str, Any]) -> tuple[str, ...]:
         texts[key] = (f"{done.mean():.2f}", f"{done.std():.2f}") if len(done) else ("", "")
     paper = PAPER.get(row, {}).get(name)
     return (
-        f"{figures['A']:.2f}",
+        _named(figures["action"]),
         *texts["covered"],
         "" if paper is None else f"{paper:.2f}",
         *texts["share"],
         str(sum(value is None for value in figures["covered"])),
     )
+
+
+def _named(action: Sequence[float]) -> str:
+    """An A, or a motion by its number among those that ship, from 1."""
+    if len(action) == 1:
+        return f"{action[0]:.2f}"
+    same = np.isclose(ClothDragging.candidates, action, atol=1e-3).all(axis=1)
+    return str(1 + int(same.argmax())) if same.any() else "new"
+
+
+def quarters_of(result: Mapping[str, Any]) -> list[Table]:
+    """Share of drawn cloths that lie spread to `SPREAD`, of all and by quarters of the bending
+    length; what failed, or has no estimate, does not."""
+    bends = np.array(list(result["bending_lengths"].values()))
+    quarter = np.searchsorted(np.quantile(bends, [0.25, 0.5, 0.75]), bends)
+    cloths, rows = list(result["cloths"].values()), {}
+    for row in dict.fromkeys(row for of in cloths for row in of):
+        shares = [np.array(of[row]["share"], dtype=float) if row in of else [0.0] for of in cloths]
+        enough = np.array([np.greater_equal(share, SPREAD).mean() for share in shares])
+        by = [enough, *(enough[quarter == k] for k in range(4))]
+        rows[row] = tuple(f"{some.mean():.2f}" if len(some) else "" for some in by)
+    title = f"{len(cloths)} cloths, {result['task']}: share spread to {SPREAD}"
+    head = ("all", "limpest quarter", "second", "third", "stiffest")
+    return [Table(title=title, head=head, rows=rows)]

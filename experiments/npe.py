@@ -24,7 +24,8 @@ from torch import nn
 from experiments.coverage import LEVEL
 from experiments.lifts import estimate_settings
 from experiments.runs import Result, Runs, Table
-from experiments.sbc import drawn_lifts, seen
+from experiments.sbc import drawn_lifts, evenly, seen
+from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import estimate
 from gendom.estimation.lift_plan import ObjectClass
@@ -95,13 +96,16 @@ def compared(ours: list[dict[str, Any]], draws: Array) -> dict[str, dict[str, fl
 
 def simulated(seed: int) -> dict[str, Array]:
     """What the network sees of a batch of lifts, and their truths [B, targets], transformed."""
-    lifts = drawn_lifts(ROPE, "hold", np.random.default_rng([91, seed]), BATCH)
+    rng = np.random.default_rng([91, seed])
+    lifts = drawn_lifts(ROPE, "hold", rng, BATCH, frames=FRAMES)
     return {
-        "X": np.array([seen(r, FRAMES, POINTS) for r, _, _ in lifts]).reshape(
-            -1, FRAMES, POINTS, 3
-        ),
-        "Y": np.array([[v[n] for n in TARGETS] for _, _, v in lifts]).reshape(-1, len(TARGETS)),
+        "X": np.array([_seen(recording) for recording, _, _ in lifts]),
+        "Y": np.array([[v[n] for n in TARGETS] for _, _, v in lifts]),
     }
+
+
+def _seen(recording: Recording) -> Array:
+    return seen(recording, evenly(np.flatnonzero(recording.frame_valid), FRAMES), POINTS)
 
 
 def estimated(seed: int) -> dict[str, Any] | None:
@@ -118,7 +122,7 @@ def estimated(seed: int) -> dict[str, Any] | None:
     at, truth = [p.names.index(name) for name in TARGETS], [drawn[name] for name in TARGETS]
     sd = np.sqrt(np.diag(p.covariance))[at]
     return {
-        "X": seen(recording, FRAMES, POINTS),
+        "X": _seen(recording),
         "truth": truth,
         "mean": p.mean[at],
         "sd": sd,

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.dragging import Evolution
 from experiments.rope_real import ROPES
-from experiments.runs import Result, Runs, Table
+from experiments.runs import Misses, Result, Runs, adapted, misses
 from gendom.arrays import Array
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.adaptation import Execution, adapting
-from gendom.policies.evaluation import Score, choose, judge
+from gendom.policies.adaptation import Execution
+from gendom.policies.evaluation import choose
 from gendom.policies.polishing import Polished, PolishingProblem, polishing
 from gendom.policies.rollouts import Asking, side_by_side
 from gendom.tasks import Task
@@ -72,32 +72,34 @@ def corrected(task: Task, belief: Estimate, action: Array, miss: Array) -> Askin
 
 
 def executions(
-    cases: Cases, held: Beliefs, first: Array, there: Array, count: int, sim: World, real: World
-) -> dict[str, Score]:
-    """Scores in the second reality of `adapt` and of iterative learning, after 1, 2, ... of their
-    own executions there, which all begin with the first actions [W, A], that reach [W, G]."""
-    task, found = cases.task, dict[str, Score]()
+    rows: Misses,
+    cases: Cases,
+    held: Beliefs,
+    first: Array,
+    there: Array,
+    count: int,
+    sim: World,
+    real: World,
+) -> None:
+    """Rows in the second reality of `adapt` and of iterative learning, after 1, 2, ... of their own
+    executions there, which all begin with the first actions [W, A], that reach [W, G]."""
     for way in ("adapt", "iterative learning"):
         seen: list[list[Execution]] = [[] for _ in held]
         action, reached = first, there
         for k in range(1, count + 1):
             for w, (a, y) in enumerate(zip(action, reached, strict=True)):
                 seen[w] += [Execution(action=a, reached=y)] if np.isfinite(y).all() else []
-            rows = list(zip(held, seen, cases.goal, action, reached, strict=True))
-            if way == "adapt":
-                learnt = side_by_side(task, sim, [adapting(task, b, e) for b, e, *_ in rows])
-                searches: list[Any] = [
-                    polishing(task, g, one.belief, task.nearest(one.belief.most_likely, a),
-                              seconds=math.inf, discrepancy=one.discrepancy)
-                    for one, (_, _, g, a, _) in zip(learnt, rows, strict=True)
-                ]  # fmt: skip
-                action = np.array([p.action for p in side_by_side(task, sim, searches)])
-            else:
-                searches = [corrected(task, b, a, np.nan_to_num(y - g)) for b, _, g, a, y in rows]
-                action = np.array(side_by_side(task, sim, searches))
-            found[f"{way}, {k}"] = judge(cases, action, world=real)
-            reached = found[f"{way}, {k}"].reached
-    return found
+            act = partial(adapted, cases, held, seen, action, sim)
+            if way != "adapt":
+                act = partial(learnt, cases, held, reached, action, sim)
+            action, reached = rows.row(f"{way}, {k}, MuJoCo", cases, real, act)
+
+
+def learnt(cases: Cases, held: Beliefs, reached: Array, last: Array, sim: World) -> Array:
+    """[W, A] actions after a step of iterative learning each, from the last [W, A], which reached
+    [W, G]."""
+    found = zip(held, last, np.nan_to_num(reached - cases.goal), strict=True)
+    return np.array(side_by_side(cases.task, sim, [corrected(cases.task, *one) for one in found]))
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
@@ -106,7 +108,7 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
 
     policy = Policy.pretrained(flags.task)
     task, sim, real = policy.task(), Simulation(device=runs.device), RealWorld(jobs=runs.jobs)
-    beliefs = [runs.lifted(name, task) for name in ROPES]
+    beliefs = list(runs.each(partial(runs.lifted, task=task), ROPES, "lifts"))
     many, few, fewer, repeats = GOALS[flags.scale]
     cases = draw_cases(task, many, seed=runs.seed, simulation=sim,
                        items=[find_object(name) for name in ROPES])  # fmt: skip
@@ -125,26 +127,16 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
         "polished": better,
         "CMA-ES": np.array(side_by_side(task, sim, rivals)),
     }
-    scores = {f"{way}, ours": judge(cases, a, world=sim) for way, a in acted.items()}
-    scores |= {f"{way}, MuJoCo": judge(some, a[:few], world=real) for way, a in acted.items()}
-    there = scores["polished, MuJoCo"].reached[:fewer]
-    learnt = executions(less, held[:fewer], better[:fewer], there, repeats, sim, real)
-    scores |= {f"{way}, MuJoCo": score for way, score in learnt.items()}
+    rows = Misses(runs=runs, title=f"planning-{task.name}-{many}")
+    for way, a in acted.items():
+        rows.row(f"{way}, ours", cases, sim, partial(np.array, a))
+    reached = {
+        way: rows.row(f"{way}, MuJoCo", some, real, partial(np.array, a[:few]))[1]
+        for way, a in acted.items()
+    }
+    there = reached["polished"][:fewer]
+    executions(rows, less, held[:fewer], better[:fewer], there, repeats, sim, real)
     rollouts = float(np.mean([p.rollouts for p in polished]))
-    about = {"task": task.name, "rollouts": rollouts}
-    return missed("planning", f"{task.name}, {rollouts:.0f} rollouts each", scores, about)
-
-
-def missed(name: str, title: str, scores: Mapping[str, Score], about: dict[str, Any]) -> Result:
-    """The table of what goals were missed by, by row."""
-    misses = {row: [e if math.isfinite(e) else None for e in score.error.tolist()]
-              for row, score in scores.items()}  # fmt: skip
-    rows = {}
-    for row, error in misses.items():
-        e = 1e3 * np.array([x for x in error if x is not None])
-        figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max())
-        rows[row] = (*(f"{x:.2f}" for x in figures), f"{len(error)}, {len(error) - len(e)}")
-    head = ("mean", "median", "95 %", "worst", "goals, failed")
-    table = Table(title=f"{title}: missed by [mm]", head=head, rows=rows)
-    figures = {**about, "misses": misses}
-    return Result(name=f"{name}-{about['task']}", figures=figures, shown=[table])
+    figures = {"task": task.name, "rollouts": rollouts, "misses": rows.errors}
+    title = f"{task.name}, {rollouts:.0f} rollouts each"
+    return Result(name=f"planning-{task.name}", figures=figures, shown=[misses(title, rows.errors)])

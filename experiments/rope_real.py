@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.r2s2r import identify
-from experiments.runs import Chart, Result, Runs, Table, TrainingJob, polished, stated
+from experiments.runs import (
+    Chart,
+    Misses,
+    Result,
+    Runs,
+    Table,
+    TrainingJob,
+    adapted,
+    misses,
+    polished,
+    stated,
+)
 from gendom.materials import (
     PARAMETERS,
     Item,
@@ -28,11 +39,10 @@ from gendom.materials import (
 )
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.adaptation import Execution, adapting
+from gendom.policies.adaptation import Execution
 from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations, joined
 from gendom.policies.evaluation import choose, judge
-from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
 from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.demonstrator import Demonstrator
@@ -66,8 +76,8 @@ class Settings:
     """Numbers of simulations, trainings and trials."""
 
     task: str = "rope-reaching"
-    goals: int
-    """Of each rope, drawn."""
+    goals: int = 7
+    """Of each rope: evenly over its reach, or drawn where they have two numbers."""
     demonstrations: int
     real: int
     """Demonstrations of each rope in the second reality."""
@@ -82,13 +92,13 @@ class Settings:
 
 SCALES = {
     "small": Settings(goals=2, demonstrations=4_000, real=20, epochs=60, executions=1, refine=1),
-    "full": Settings(goals=24, demonstrations=40_000, real=100, epochs=150, executions=5, refine=4),
+    "full": Settings(demonstrations=40_000, real=100, epochs=150, executions=3, refine=4),
 }
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
-    """Estimates, misses of drawn goals, sums over seven goals, components of the errors, and errors
-    by the number of executions."""
+    """Estimates, misses of goals, their sums by rope, components of the errors, and errors by the
+    number of executions."""
     figures = rope_real(runs, replace(SCALES[flags.scale], task=flags.task))
     return Result(
         name=f"rope-real-{flags.task}",
@@ -101,8 +111,8 @@ def rope_real(runs: Runs, settings: Settings) -> dict[str, Any]:
     """Measure all rows.
 
     Returns:
-        JSON: estimates, rows with errors over the drawn goals, rows with sums over seven goals, and
-        what the error is made of. Errors [m]; null where the arm or the simulation failed.
+        JSON: estimates, goals, rows with errors over them, and what the error is made of. Errors
+        [m]; null where the arm or the simulation failed.
 
     Raises:
         DeviceError: The second reality cannot be simulated or rendered here.
@@ -112,7 +122,32 @@ def rope_real(runs: Runs, settings: Settings) -> dict[str, Any]:
 
     task = find_task(settings.task)()
     ropes = [find_object(name) for name in ROPES]
-    beliefs = [runs.lifted(name, task) for name in ROPES]
+    beliefs = list(runs.each(partial(runs.lifted, task=task), ROPES, "lifts"))
+    chosen = runs.kept(
+        f"{task.name}-chosen", partial(_chosen, runs, settings, task, ropes, beliefs)
+    )
+    goal, actions = np.array(chosen["goals"]), chosen.pop("actions")
+    items = tuple(ropes[k % len(ropes)] for k in range(len(goal)))
+    cases = Cases(task=task, items=items, goal=goal)
+    rows = Measured(
+        runs=runs,
+        title=f"{task.name}-row",
+        settings=settings,
+        cases=cases,
+        world=RealWorld(jobs=runs.jobs),
+    )
+    return {
+        "estimates": {n: stated(b) for n, b in zip(ROPES, beliefs, strict=True)},
+        **chosen,
+        "ropes": [ROPES[k % len(ROPES)] for k in range(len(cases))],
+        **_measured(rows, [beliefs[k % len(beliefs)] for k in range(len(cases))], actions),
+    }
+
+
+def _chosen(
+    runs: Runs, settings: Settings, task: Task, ropes: Sequence[Item], beliefs: Sequence[Estimate]
+) -> dict[str, Any]:
+    """Goals, what all policies do for them, and what was searched to train them."""
     simulated = runs.demonstrations(
         f"{task.name}-simulated", Demonstrator(task=task), settings.demonstrations
     )
@@ -121,25 +156,12 @@ def rope_real(runs: Runs, settings: Settings) -> dict[str, Any]:
         for name, belief in zip(ROPES, beliefs, strict=True)
     ]
     policies, searches = _policies(runs, settings, task, simulated, real)
-
-    cases = draw_cases(task, len(ropes) * settings.goals, seed=runs.seed, items=ropes,
-                       simulation=Simulation(device=runs.device))  # fmt: skip
-    sets = {"drawn": cases}
-    if len(task.goals) == 1:
-        sets["seven"] = _seven(task, policies["ours"], ropes)
-    result: dict[str, Any] = {
-        "estimates": {n: stated(b) for n, b in zip(ROPES, beliefs, strict=True)},
-        "searches": searches,
-    }
-    world = RealWorld(jobs=runs.jobs)
-    for name, some in sets.items():
-        held = [beliefs[k % len(beliefs)] for k in range(len(some))]
-        result[name] = {
-            "ropes": [ROPES[k % len(ROPES)] for k in range(len(some))],
-            "goals": some.goal.tolist(),
-            **_measured(Measured(runs, settings, name, some, world), held, policies),
-        }
-    return result
+    cases = _cases(runs, settings, task, policies["ours"], ropes)
+    known = [beliefs[k % len(beliefs)].most_likely for k in range(len(cases))]
+    actions = {name: choose(policy, cases, known=known) for name, policy in policies.items()}
+    actions["ours, true parameters"] = choose(policies["ours"], cases)
+    found = {name: action.tolist() for name, action in actions.items()}
+    return {"searches": searches, "goals": cases.goal.tolist(), "actions": found}
 
 
 def _real(runs: Runs, settings: Settings, task: Task, name: str, known: Item) -> Demonstrations:
@@ -192,28 +214,41 @@ def _policies(
     jobs = {
         "ours": job(simulated, refined, world=world),
         "ours, no parameters": job(simulated, replace(refined, conditioned_on=()), world=world),
-        "inverse": job(simulated, inverse, world=world),
-        "inverse, no parameters": job(simulated, replace(inverse, conditioned_on=()), world=world),
         "sim+real": job(simulated, tuned, finetune=every_real, world=world),
     }
     for row, data in sets.items():
         # real demonstrations have no simulator to refine in
         own = refined if row.startswith("R2S2R") else plain
         jobs[row] = job(data, replace(own, conditioned_on=()), world=world)
+    jobs |= {
+        "inverse": job(simulated, inverse, world=world),
+        "inverse, no parameters": job(simulated, replace(inverse, conditioned_on=()), world=world),
+    }
+    found = {
+        row: _inverse_search(data, settings, replace(inverse, conditioned_on=()))
+        for row, data in sets.items()
+    }
+    # all at once: the longest first
+    jobs |= {f"{row}, {which}": one for row, many in found.items() for which, one in many.items()}
     policies = runs.policies(jobs, prefix=f"{settings.task}-")
-    for row, data in sets.items():
+    for row, many in found.items():
+        tried = {which: policies.pop(f"{row}, {which}") for which in many}
+        errors = {
+            which: float(policy.description.training["errors"]["action_rms"])
+            for which, policy in tried.items()
+        }
         name = f"{row}, inverse"
-        search = _inverse_search(data, settings, replace(inverse, conditioned_on=()))
-        policies[name], searches[name] = runs.best(f"{task.name}-{name}", search)
+        policies[name], searches[name] = tried[min(errors, key=errors.__getitem__)], errors
     return policies, searches
 
 
 def _inverse_search(
     data: Demonstrations, settings: Settings, inverse: Any
 ) -> dict[str, TrainingJob]:
-    """Eight settings of a baseline's training."""
+    """Eight settings of a baseline's training; that policy is taken whose action is nearest to that
+    of demonstrations it has not seen."""
     return {
-        f"{architecture}-{share:g}-{decay:g}": TrainingJob.of_steps(
+        f"inverse-{architecture}-{share:g}-{decay:g}": TrainingJob.of_steps(
             data,
             replace(
                 inverse,
@@ -247,98 +282,68 @@ def _identified(runs: Runs, task: Task, real: Sequence[Demonstrations]) -> dict[
             "executions": found.executions, "rollouts": found.rollouts}  # fmt: skip
 
 
-def _seven(task: Task, policy: Policy, ropes: Sequence[Item]) -> Cases:
-    """The paper's seven goals: evenly over the reach of each rope."""
-    items, goals = [], []
-    for k in range(7):
-        for rope in ropes:
-            low, high = policy.goal_range(rope)[0]
-            items.append(rope)
-            goals.append([low + (0.1 + 0.8 * k / 6.0) * (high - low)])
-    return Cases(task=task, items=tuple(items), goal=np.array(goals))
+def _cases(
+    runs: Runs, settings: Settings, task: Task, policy: Policy, ropes: Sequence[Item]
+) -> Cases:
+    """Goals of all ropes in turns: evenly over the reach of each, as the paper's, or drawn."""
+    count = len(ropes) * settings.goals
+    if len(task.goals) > 1:
+        world = Simulation(device=runs.device)
+        return draw_cases(task, count, seed=runs.seed, items=ropes, simulation=world)
+    items = [ropes[k % len(ropes)] for k in range(count)]
+    shares = 0.1 + 0.8 * (np.arange(count) // len(ropes)) / max(settings.goals - 1, 1)
+    low, high = np.array([policy.goal_range(item)[0] for item in items]).T
+    return Cases(task=task, items=tuple(items), goal=(low + shares * (high - low))[:, None])
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Rows of one set of goals; each is kept."""
+@dataclass(frozen=True, kw_only=True)
+class Measured(Misses):
+    """Rows of the goals."""
 
-    runs: Runs
     settings: Settings
-    title: str
-    """Of the set, part of the names of files."""
     cases: Cases
     world: World
     """Where actions are carried out."""
-    errors: dict[str, list[float | None]] = field(default_factory=dict)
-    """[W] of every row [m]."""
 
-    def row(
-        self, name: str, act: Callable[[], Array], world: World | None = None
-    ) -> tuple[Array, Array]:
+    def acted(self, name: str, act: Callable[[], Array]) -> tuple[Array, Array]:
         """[W, A] actions and [W, G] what they reached."""
-
-        def make() -> dict[str, Any]:
-            action = act()
-            found = judge(self.cases, action, world=world or self.world)
-            return {"action": action.tolist(), "reached": _plain(found.reached),
-                    "error": _plain(found.error)}  # fmt: skip
-
-        row = self.runs.kept(f"{self.cases.task.name}-{self.title}-{name}", make)
-        self.errors[name] = row["error"]
-        return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
-
-    def polished(
-        self,
-        beliefs: Sequence[Estimate],
-        start: Array,
-        discrepancies: Sequence[Any] | None = None,
-    ) -> Array:
-        """[W, A] polished actions."""
-        task, seed = self.cases.task, self.runs.seed
-        return polished(
-            self.cases,
-            beliefs,
-            np.array([task.nearest(b.item, a) for b, a in zip(beliefs, start, strict=True)]),
-            Simulation(device=self.runs.device),
-            seed=seed,
-            discrepancies=discrepancies,
-        )
-
-    def adapted(
-        self, beliefs: Sequence[Estimate], seen: Sequence[Sequence[Execution]], start: Array
-    ) -> Array:
-        """[W, A] actions polished with the result of earlier executions."""
-        task = self.cases.task
-        searches = [adapting(task, b, list(e)) for b, e in zip(beliefs, seen, strict=True)]
-        found = side_by_side(task, Simulation(device=self.runs.device), searches)
-        return self.polished([a.belief for a in found], start, [a.discrepancy for a in found])
+        return self.row(name, self.cases, self.world, act)
 
 
 def _measured(
-    rows: Measured, beliefs: Sequence[Estimate], policies: Mapping[str, Policy]
+    rows: Measured, beliefs: Sequence[Estimate], actions: Mapping[str, Sequence[Sequence[float]]]
 ) -> dict[str, Any]:
-    """Errors [W] of every row, and the components of our own."""
-    cases, known = rows.cases, [belief.most_likely for belief in beliefs]
-    done = {
-        name: rows.row(name, partial(choose, policy, cases, known=known))
-        for name, policy in policies.items()
-    }
-    true, _ = rows.row("ours, true parameters", partial(choose, policies["ours"], cases))
-    assumed = [
-        believed(Estimate.of(known), cases.task).with_uncertain("E_over_rho", WITHOUT_LIFT)
-        for known in cases.items
-    ]
-    blind, _ = done["ours, no parameters"]
-    rows.row("polished, no lift", partial(rows.polished, assumed, blind))
+    """Errors [W] of every row, and the components of our own.
+
+    Args:
+        rows: The goals.
+        beliefs: [W] of each one's rope.
+        actions: [W, A] of policies, by row.
+    """
+    cases, seed, sim = rows.cases, rows.runs.seed, Simulation(device=rows.runs.device)
+
+    def acted(name: str) -> tuple[Array, Array]:
+        return rows.acted(name, lambda: np.array(actions[name]))
+
+    done = {name: acted(name) for name in actions}
     ours, reached = done["ours"]
-    action, there = rows.row("polished", partial(rows.polished, beliefs, ours))
+    action, there = rows.acted("polished", partial(polished, cases, beliefs, ours, sim, seed=seed))
     seen: list[list[Execution]] = [[] for _ in cases.items]
     for k in range(1, rows.settings.executions + 1):
         for w, (a, y) in enumerate(zip(action, there, strict=True)):
             if np.isfinite(y).all():
                 seen[w].append(Execution(action=a, reached=y))
         name = f"polished, {k} execution{'s' * (k > 1)}"
-        action, there = rows.row(name, partial(rows.adapted, beliefs, seen, action))
+        act = partial(adapted, cases, beliefs, seen, action, sim, seed=seed)
+        action, there = rows.acted(name, act)
+    assumed = [
+        believed(Estimate.of(known), cases.task).with_uncertain("E_over_rho", WITHOUT_LIFT)
+        for known in cases.items
+    ]
+    blind, _ = done["ours, no parameters"]
+    without = partial(polished, cases, assumed, blind, sim, seed=seed)
+    rows.acted("polished, no lift", without)
+    true, _ = done["ours, true parameters"]
     return {"errors": rows.errors, "made_of": _components(rows, ours, reached, true)}
 
 
@@ -354,7 +359,7 @@ def _components(rows: Measured, ours: Array, reached: Array, true: Array) -> dic
     from gendom.reality import RealWorld
 
     free = RealWorld(robot=False, jobs=rows.runs.jobs)
-    _, by_hand = rows.row("ours, by a free hand", lambda: ours, free)
+    _, by_hand = rows.row("ours, by a free hand", rows.cases, free, lambda: ours)
     del rows.errors["ours, by a free hand"]
     sim = Simulation(device=rows.runs.device)
     simulated = judge(rows.cases, ours, world=sim)
@@ -372,13 +377,6 @@ def _middling(rope: Item) -> Item:
     return with_dimensionless(rope, {"bending_ratio": 0.45, "damping": 0.02, "nu": 0.3})
 
 
-def _plain(values: Array) -> list[Any]:
-    """For JSON, null where a number is not finite."""
-    if values.ndim > 1:
-        return [_plain(row) for row in values]
-    return [float(x) if np.isfinite(x) else None for x in values]
-
-
 def _rms(values: Array) -> float:
     flat = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(flat**2))) if len(flat) else math.nan
@@ -386,8 +384,16 @@ def _rms(values: Array) -> float:
 
 def shown_of(result: Mapping[str, Any]) -> list[Table | Chart]:
     """Tables of `rope_real`, and errors by the number of executions."""
-    drawn = result["drawn"]
-    names = list(next(iter(result["estimates"].values())))
+    names, ropes = list(next(iter(result["estimates"].values()))), result["ropes"]
+    sums = {
+        row: (
+            *(f"{_sum(errors, ropes, rope):.3f}" for rope in ROPES),
+            *(f"{x:.3f}" for x in PAPER.get(row, ())),
+            *[""] * (0 if row in PAPER else len(ROPES)),
+        )
+        for row, errors in result["errors"].items()
+    }
+    short = [rope.removeprefix("rope-") for rope in ROPES]
     shown: list[Table | Chart] = [
         Table(
             title="Estimates (E over density; SI)",
@@ -397,31 +403,20 @@ def shown_of(result: Mapping[str, Any]) -> list[Table | Chart]:
                 for rope, estimate in result["estimates"].items()
             },
         ),
-        Table(
-            title=f"{len(drawn['ropes'])} goals, missed by [mm]",
-            head=("mean", "median", "std", "worst", "failed"),
-            rows={row: _figures(errors) for row, errors in drawn["errors"].items()},
-        ),
+        misses(f"{len(ropes)} goals", result["errors"]),
         Table(
             title="Made of [mm]",
-            head=tuple(drawn["made_of"]),
-            rows={"ours": tuple(f"{1e3 * value:.1f}" for value in drawn["made_of"].values())},
+            head=tuple(result["made_of"]),
+            rows={"ours": tuple(f"{1e3 * value:.1f}" for value in result["made_of"].values())},
+        ),
+        Table(
+            title="Sums over each rope's goals [m]",
+            head=(*short, *(f"paper, {rope}" for rope in short)),
+            rows=sums,
         ),
     ]
-    if seven := result.get("seven"):
-        short = [rope.removeprefix("rope-") for rope in ROPES]
-        sums = {
-            row: (
-                *(f"{_sum(errors, seven['ropes'], rope):.3f}" for rope in ROPES),
-                *(f"{x:.3f}" for x in PAPER.get(row, ())),
-                *[""] * (0 if row in PAPER else len(ROPES)),
-            )
-            for row, errors in seven["errors"].items()
-        }
-        head = (*short, *(f"paper, {rope}" for rope in short))
-        shown.append(Table(title="Seven goals, sums [m]", head=head, rows=sums))
     after = [
-        e for row, e in drawn["errors"].items() if row.startswith("polished") and "lift" not in row
+        e for row, e in result["errors"].items() if row.startswith("polished") and "lift" not in row
     ]
     lines = {
         name: (list(range(len(after))), [1e3 * float(of(np.array(e, dtype=float))) for e in after])
@@ -429,14 +424,6 @@ def shown_of(result: Mapping[str, Any]) -> list[Table | Chart]:
     }
     title = "Polished, after executions"
     return [*shown, Chart(title=title, x="executions", y="missed by [mm]", lines=lines)]
-
-
-def _figures(errors: Sequence[float | None]) -> tuple[str, ...]:
-    e = 1e3 * np.array(errors, dtype=float)
-    done = e[np.isfinite(e)]
-    figures = (done.mean(), np.median(done), done.std(), done.max()) if len(done) else ("",) * 4
-    texts = (f"{x:.1f}" if x != "" else "" for x in figures)
-    return (*texts, str(len(e) - len(done)))
 
 
 def _sum(errors: Sequence[float | None], ropes: Sequence[str], rope: str) -> float:

@@ -24,8 +24,10 @@ from gendom.installation import version
 from gendom.materials import to_columns
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
+from gendom.policies.adaptation import Execution, adapting
 from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations
+from gendom.policies.evaluation import judge
 from gendom.policies.polishing import polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.progress import bar
@@ -174,16 +176,6 @@ class Runs:
                 pass
         return {name: found[name] or Policy.read(paths[name]) for name in jobs}
 
-    def best(self, name: str, jobs: Mapping[str, TrainingJob]) -> tuple[Policy, dict[str, float]]:
-        """The policy whose action is nearest to that of demonstrations it has not seen, and the
-        errors of all: the search for a baseline's settings."""
-        policies = self.policies(jobs, prefix=f"{name}-")
-        errors = {
-            which: float(policy.description.training["errors"]["action_rms"])
-            for which, policy in policies.items()
-        }
-        return policies[min(errors, key=lambda which: errors[which])], errors
-
     def recorded(
         self, label: str, item: RealObject, motion: LiftMotion, most: int | None = None
     ) -> Recording:
@@ -217,21 +209,23 @@ class Runs:
             recording.write(path)
         return Recording.read(path, on_warning=lambda _: None)
 
-    def lifted(self, name: str, task: Task) -> Estimate:
-        """Distribution of an object's parameters for a task, after one lift seen by two cameras.
+    def lifted(self, name: str, task: Task, item: RealObject | None = None) -> Estimate:
+        """Distribution of an object's parameters for a task, after one lift seen by two cameras;
+        by default the object is the one of that name.
 
         Raises:
             GendomError: The estimate is not usable.
         """
-        from gendom.estimation import EstimateSettings, estimate
+        from gendom.estimation import EstimateSettings, SceneSettings, estimate
         from gendom.reality import find_object
 
-        item = find_object(name)
+        item = item or find_object(name)
 
         def make() -> dict[str, Any]:
             motion = predefined_lift(item.kind, ENDS[item.kind])
             recording = self.recorded(f"lift-{name}", item, motion)
-            settings = EstimateSettings(starts=STARTS[item.kind], seed=self.seed)
+            scene = SceneSettings(threads=1 if self.jobs > 1 else None)
+            settings = EstimateSettings(starts=STARTS[item.kind], seed=self.seed, scene=scene)
             return estimate(recording, settings).record
 
         record = self.kept(f"estimate-{name}", make)
@@ -312,7 +306,7 @@ def polished(
     Args:
         cases: Goals.
         beliefs: [W] what is known of each object.
-        start: [W, A].
+        start: [W, A], moved into the task's limits.
         world: Where they are simulated.
         seed: Of the search.
         discrepancies: [W] between world and simulation, as `adapting` finds them.
@@ -322,7 +316,7 @@ def polished(
             cases.task,
             goal,
             beliefs[w],
-            start[w],
+            cases.task.nearest(beliefs[w].most_likely, start[w]),
             seconds=math.inf,
             seed=seed,
             discrepancy=None if discrepancies is None else discrepancies[w],
@@ -330,6 +324,67 @@ def polished(
         for w, goal in enumerate(cases.goal)
     ]
     return np.array([found.action for found in side_by_side(cases.task, world, searches)])
+
+
+def adapted(
+    cases: Cases,
+    beliefs: Sequence[Estimate],
+    seen: Sequence[Sequence[Execution]],
+    start: Array,
+    world: World,
+    *,
+    seed: int = 0,
+) -> Array:
+    """[W, A] actions `polished` with what executions of each goal showed."""
+    pairs = zip(beliefs, seen, strict=True)
+    found = side_by_side(cases.task, world, [adapting(cases.task, b, list(e)) for b, e in pairs])
+    known, off = [a.belief for a in found], [a.discrepancy for a in found]
+    return polished(cases, known, start, world, seed=seed, discrepancies=off)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misses:
+    """Rows of a table: what goals were missed by. Each is kept."""
+
+    runs: Runs
+    title: str
+    """Part of the names of files."""
+    errors: dict[str, list[float | None]] = field(default_factory=dict)
+    """[W] of every row [m], None where it failed."""
+
+    def row(
+        self, name: str, cases: Cases, world: World, act: Callable[[], Array]
+    ) -> tuple[Array, Array]:
+        """[W, A] actions, carried out in a world, and [W, G] what they reached."""
+
+        def make() -> dict[str, Any]:
+            action = act()
+            found = judge(cases, action, world=world)
+            return {"action": action.tolist(), "reached": _plain(found.reached),
+                    "error": _plain(found.error)}  # fmt: skip
+
+        row = self.runs.kept(f"{self.title}-{name}", make)
+        self.errors[name] = row["error"]
+        return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
+
+
+def misses(title: str, errors: Mapping[str, Sequence[float | None]]) -> Table:
+    """What goals were missed by [m], by row."""
+    rows = {}
+    for row, error in errors.items():
+        e = 1e3 * np.array([x for x in error if x is not None])
+        figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max()) if len(e) else ()
+        texts = *(f"{x:.2f}" for x in figures), *[""] * (4 - len(figures))
+        rows[row] = (*texts, f"{len(error)}, {len(error) - len(e)}")
+    head = ("mean", "median", "95 %", "worst", "goals, failed")
+    return Table(title=f"{title}, missed by [mm]", head=head, rows=rows)
+
+
+def _plain(values: Array) -> list[Any]:
+    """For JSON, None where a number is not finite."""
+    if values.ndim > 1:
+        return [_plain(row) for row in values]
+    return [float(x) if np.isfinite(x) else None for x in values]
 
 
 def stated(belief: Estimate) -> dict[str, Any]:

@@ -132,10 +132,15 @@ def imagined_lift(lifts: Lifts, seed: int) -> tuple[Recording, dict[str, float]]
 
 
 def drawn_lifts(
-    item: Item, end: str, rng: np.random.Generator, count: int
+    item: Item,
+    end: str,
+    rng: np.random.Generator,
+    count: int,
+    *,
+    frames: int | None = None,
 ) -> list[tuple[Recording, dict[str, float], dict[str, float]]]:
     """Lifts of an object whose unknowns are drawn, without those that cannot be simulated; their
-    truths by name, and transformed.
+    truths by name, and transformed. With `frames`, clouds of these alone, as `seen` takes them.
 
     Raises:
         RobotError: The arm cannot carry the lift out.
@@ -147,6 +152,8 @@ def drawn_lifts(
         raise arm
     settings = estimate_settings(0)
     scene = LiftScene.of(recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end]), settings.scene)
+    if frames is not None:
+        scene = replace(scene, frames=evenly(scene.frames, frames))
     prior, base = scene.prior(also=("thickness",))
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
@@ -168,13 +175,16 @@ def drawn_lifts(
     return found
 
 
-def seen(recording: Recording, frames: int, points: int) -> Array:
+def evenly(frames: Sequence[int] | NDArray[np.intp], count: int) -> tuple[int, ...]:
+    """So many of some frames, from the first to the last."""
+    return tuple(int(frames[k]) for k in np.linspace(0, len(frames) - 1, count).round().astype(int))
+
+
+def seen(recording: Recording, frames: Sequence[int], points: int) -> Array:
     """[frames, points, 3] clouds from the first place of the gripper [0.1 m]."""
-    which = np.flatnonzero(recording.frame_valid)
-    which = which[np.linspace(0, len(which) - 1, frames).round().astype(int)]
-    rng, clouds = np.random.default_rng(0), [recording.frame(int(t)) for t in which]
+    rng, clouds = np.random.default_rng(0), [recording.frame(t) for t in frames]
     chosen = np.array([cloud[rng.choice(len(cloud), points)] for cloud in clouds])
-    return 10.0 * (chosen - recording.gripper_position[which[0], 0])
+    return 10.0 * (chosen - recording.gripper_position[frames[0], 0])
 
 
 def misplaced(recording: Recording, noise: NoiseModel, rng: np.random.Generator) -> Recording:

@@ -9,22 +9,25 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.planning import GOALS, evolved, missed
+from experiments.lifts import estimate_settings
+from experiments.planning import GOALS, evolved
 from experiments.rope_real import ROPES
-from experiments.runs import Result, Runs
-from experiments.sbc import drawn_lifts, seen
+from experiments.runs import Misses, Result, Runs, misses
+from experiments.sbc import drawn_lifts, evenly, seen
 from gendom.arrays import Array
+from gendom.estimation import LiftScene
 from gendom.estimation.lift_plan import ObjectClass
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.evaluation import choose, judge
+from gendom.policies.evaluation import choose
 from gendom.policies.rollouts import side_by_side
 from gendom.robot import predefined_lift
 from gendom.tasks.cases import Cases, draw_cases
@@ -35,7 +38,7 @@ ROPE = ObjectClass(kind="rope", size=(0.3, 0.3), thickness=(0.016, 0.016)).at(0.
 
 LIFTS, BATCH, EPOCHS = {"small": 64, "full": 4096}, 32, 120
 FRAMES, POINTS, WIDTH = 16, 64, 128
-"""Lifts to learn from, of which so many are simulated together, and passes over all; frames of a
+"""Lifts to learn from, how many are simulated together, and passes over all; frames of a
 lift that networks see, points of each, and their width."""
 
 ROLLOUTS, LABELS, UNKNOWNS = 40, 8, ("E_over_rho", "damping")
@@ -44,10 +47,13 @@ ROLLOUTS, LABELS, UNKNOWNS = 40, 8, ("E_over_rho", "damping")
 
 def simulated(seed: int) -> tuple[Array, Array]:
     """Clouds of a batch of lifts, and the logarithms of their `UNKNOWNS`."""
-    lifts = drawn_lifts(ROPE, "swing", np.random.default_rng([92, seed]), BATCH)
-    clouds = np.array([seen(recording, FRAMES, POINTS) for recording, _, _ in lifts])
+    rng = np.random.default_rng([92, seed])
+    lifts = drawn_lifts(ROPE, "swing", rng, BATCH, frames=FRAMES)
+    valid = [np.flatnonzero(recording.frame_valid) for recording, _, _ in lifts]
+    clouds = [seen(recording, evenly(which, FRAMES), POINTS)
+              for (recording, _, _), which in zip(lifts, valid, strict=True)]  # fmt: skip
     truths = np.log([[truth[n] for n in UNKNOWNS] for _, truth, _ in lifts])
-    return clouds.reshape(-1, FRAMES, POINTS, 3), truths.reshape(-1, len(UNKNOWNS))
+    return np.array(clouds), truths
 
 
 class FromClouds(nn.Module):
@@ -100,6 +106,11 @@ def rope_of(known: Item, logs: Array) -> Item:
     return replace(ROPE, material=replace(m, E=E_over_rho * m.density, damping=damping))
 
 
+def logs_of(item: Item) -> list[float]:
+    """Its `UNKNOWNS`."""
+    return np.log([item.material.E_over_rho, item.material.damping]).tolist()
+
+
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """Misses of goals in both realities, and parameters."""
     from gendom.reality import RealWorld, find_object
@@ -107,18 +118,22 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     policy = Policy.pretrained(flags.task)
     task, sim, real = policy.task(), Simulation(device=runs.device), RealWorld(jobs=runs.jobs)
     seeds = range(runs.seed, runs.seed + LIFTS[flags.scale] // BATCH)
-    X, Y = map(np.concatenate, zip(*runs.each(simulated, seeds, "lifts"), strict=True))
+    made = runs.each(simulated, seeds, "lifts")
+    X, Y = map(np.concatenate, zip(*made, strict=True))
     items, L = list(map(find_object, ROPES)), size_of(ROPE)
+    beliefs = list(runs.each(partial(runs.lifted, task=task), ROPES, "lifts"))
     motion, named = predefined_lift("rope", "swing"), zip(ROPES, items, strict=True)
     lifts = [runs.recorded(f"lift-{name}", item, motion) for name, item in named]
-    shown = [seen(recording, FRAMES, POINTS) for recording in lifts]
+    # frames at the times of those that were simulated
+    scenes = [LiftScene.of(recording, estimate_settings(0).scene) for recording in lifts]
+    shown = [seen(s.recording, evenly(s.frames, FRAMES), POINTS) for s in scenes]
     logs = fitted(X, np.empty((len(X), 0)), Y, runs.device, runs.seed)(shown, np.empty((3, 0)))
     taught = [rope_of(items[k % 3], row) for k, row in enumerate(Y) for _ in range(LABELS)]
     low, high = np.moveaxis(np.array([policy.goal_range(item) for item in taught]), 2, 0)
     goal = np.random.default_rng(runs.seed).uniform(low, high)
     labels = choose(policy, Cases(task=task, items=tuple(taught), goal=goal)) / L
     acts = fitted(X, goal / L, labels, runs.device, runs.seed)
-    many, few, *_ = GOALS[flags.scale]
+    many, _, few, _ = GOALS[flags.scale]
     cases = draw_cases(task, many, seed=runs.seed, simulation=sim, items=items)
     some = Cases(task=task, items=cases.items[:few], goal=cases.goal[:few])
     held = [rope_of(items[k % 3], logs[k % 3]) for k in range(many)]
@@ -126,15 +141,26 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     rivals = [evolved(task, g, Estimate.of(item), a, ROLLOUTS)
               for g, item, a in zip(cases.goal, held, first, strict=True)]  # fmt: skip
     straight = acts([shown[k % 3] for k in range(many)], cases.goal / L) * L
+    ours = [beliefs[k % 3].most_likely for k in range(many)]
     acted = {
+        "our estimate, policy": choose(policy, cases, known=ours),
         "network's parameters, policy": first,
         "network's parameters, CMA-ES": np.array(side_by_side(task, sim, rivals)),
         "clouds to action": np.array([task.nearest(ROPE, a) for a in straight]),
     }
-    scores = {f"{way}, ours": judge(cases, a, world=sim) for way, a in acted.items()}
-    scores |= {f"{way}, MuJoCo": judge(some, a[:few], world=real) for way, a in acted.items()}
-    off = logs - np.log([[i.material.E_over_rho, i.material.damping] for i in items])
-    notes = [f"{name}: E {100.0 * math.expm1(e):+.1f} %, damping times {math.exp(d):.2f}"
-             for name, (e, d) in zip(ROPES, off, strict=True)]  # fmt: skip
-    title = f"{len(X)} lifts to learn from"
-    return replace(missed("wiggle", title, scores, {"task": task.name}), notes=notes)
+    rows = Misses(runs=runs, title=f"wiggle-{task.name}-{many}")
+    for way, a in acted.items():
+        rows.row(f"{way}, ours", cases, sim, partial(np.array, a))
+    for way, a in acted.items():
+        rows.row(f"{way}, MuJoCo", some, real, partial(np.array, a[:few]))
+    told = {"network": logs, "our estimate": [logs_of(belief.most_likely) for belief in beliefs]}
+    off = {who: np.array(found) - list(map(logs_of, items)) for who, found in told.items()}
+    notes = [f"{name}, {who}: E {100.0 * math.expm1(e):+.1f} %, damping times {math.exp(d):.2f}"
+             for who, rows in off.items()
+             for name, (e, d) in zip(ROPES, rows, strict=True)]  # fmt: skip
+    return Result(
+        name=f"wiggle-{task.name}",
+        figures={"task": task.name, "lifts": len(X), "misses": rows.errors},
+        shown=[misses(f"{task.name}, {len(X)} lifts to learn from", rows.errors)],
+        notes=notes,
+    )

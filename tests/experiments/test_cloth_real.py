@@ -13,7 +13,7 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from experiments import cloth_real as module
 from experiments import real2sim
-from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
+from experiments.cloth_real import CLOTHS, Settings, cloth_real, quarters_of, tables_of
 from experiments.dragging import START, drawn, judged, search
 from experiments.runs import Runs
 from gendom.errors import GendomError, ParameterError
@@ -26,7 +26,7 @@ from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
-COTTON, RUBBER = CLOTHS
+COTTON, RUBBER = CLOTHS[0], CLOTHS[2]
 
 
 @dataclass
@@ -41,9 +41,10 @@ class Formula:
         off = np.hypot(*(np.array(task.off_centre) - OFF_CENTRE))
         return [
             Outcome(values={}, fault="too fast")
-            if A > 0.6
-            else Outcome(values={"share": 0.9 - abs(A - 0.3) - off, "covered": 1.0 - off})
-            for (A,) in np.asarray(actions)
+            if a[0] > 0.6
+            else Outcome(values={"share": s, "unspread": 1.0 - s, "covered": 1.0 - off})
+            for a in np.asarray(actions)
+            for s in [0.9 - abs(a[0] - 0.3) - off]
         ]
 
 
@@ -52,47 +53,70 @@ done: list = []
 
 @pytest.fixture
 def runs(tmp_path, monkeypatch) -> Runs:
-    def lifted(runs, name, task):
+    def lifted(runs, name, task, item):
         if name == RUBBER:
             raise GendomError("it did not move", where=f"the lift of {name}")
-        return believed(Estimate.of(find_object(name)), task)
+        return believed(Estimate.of(item), task)
 
     done.clear()
     monkeypatch.setattr("gendom.reality.RealWorld", Formula)
-    monkeypatch.setattr(module, "Simulation", Formula)
     monkeypatch.setattr(Runs, "lifted", lifted)
     return Runs(folder=tmp_path / "table")
 
 
-SMALL = Settings(trials=3, demonstrations=0, draws=2)
+SMALL = Settings(trials=3, cloths=(COTTON, RUBBER))
+KNOWN = {"ours, no parameters", "ours, true parameters"}
 
 
-def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs, table, tmp_path, monkeypatch):
+def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs, table, tmp_path):
     result = cloth_real(runs, SMALL)
     cotton, rubber = result["cloths"][COTTON], result["cloths"][RUBBER]
-    assert set(cotton) == {"ours, no parameters", "ours", "searched", "ours, true parameters"}
-    assert set(rubber) == {"ours, no parameters", "ours, true parameters"}
+    assert set(cotton) == KNOWN | {"ours"}
+    assert set(rubber) == KNOWN
     assert "it did not move" in result["estimates"][RUBBER]["refused"]
     assert "friction" in result["estimates"][COTTON]
     # a policy that does not know which cloth it has does the same to all
-    assert cotton["ours, no parameters"]["A"] == rubber["ours, no parameters"]["A"]
-    assert cotton["searched"]["A"] == 0.3
+    assert cotton["ours, no parameters"]["action"] == rubber["ours, no parameters"]["action"]
+    (A,) = cotton["ours"]["action"]
     off = np.hypot(*(np.array(result["hands"]) - OFF_CENTRE).T)
     assert off[0] == 0.0 and 0.001 < off[1:].min() < off.max() < 0.05
-    assert cotton["searched"]["share"] == pytest.approx(0.9 - off)
-    assert cotton["searched"]["covered"] == pytest.approx(1.0 - off)
+    assert cotton["ours"]["share"] == pytest.approx(0.9 - abs(A - 0.3) - off)
+    assert cotton["ours"]["covered"] == pytest.approx(1.0 - off)
     (first, second) = tables_of(result)
     assert "0.78" in str(first) and "0.52" in str(first) and "it did not move" in str(second)
     # the command prints the table
-    small = Settings(trials=2, demonstrations=0, draws=1)
-    monkeypatch.setattr(module, "SCALES", {"small": small})
-    told = table("cloth-real", "--objects", COTTON)
+    told = table("cloth-real", "--objects", COTTON, "cloth-denim")
     assert COTTON in told and RUBBER not in told and "extended ratio" in told
+    assert "cloth-denim, bends over 0.112 sides" in told
     assert (tmp_path / "cloth-real.json").exists() and (tmp_path / "cloth-real.txt").exists()
 
 
+def test_drawn_cloths_are_dragged_and_counted_by_quarters(runs, table):
+    told = table("cloth-real", "--task", "cloth-dragging", "--drawn", 8)
+    assert "8 cloths, cloth-dragging" in told
+    (quarters,) = [line for line in told.splitlines() if line.startswith("ours, true parameters")]
+    # the formula takes the first number of a motion for an A
+    assert len(quarters.split()) == 3 + 5
+    with pytest.raises(SystemExit):
+        table("rope-real", "--task", "cloth-dragging")
+
+
+def test_quarters_count_what_lies_spread_and_what_failed():
+    bends = [0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.11, 0.12]
+    shares = [0.2, 0.74, 0.75, 0.3, 0.8, 0.9, 1.0, None]
+    names = [f"drawn-{k}" for k in range(8)]
+    rows = {"true": [{"true": {"share": [s]}} for s in shares]}
+    cloths = dict(zip(names, rows["true"], strict=True))
+    cloths["drawn-4"]["ours"] = {"share": [0.8, 0.7]}
+    result = {"task": "t", "bending_lengths": dict(zip(names, bends, strict=True)),
+              "cloths": cloths}  # fmt: skip
+    (table,) = quarters_of(result)
+    assert table.rows["true"] == ("0.50", "0.00", "0.50", "1.00", "0.50")
+    assert table.rows["ours"] == ("0.06", "0.00", "0.00", "0.25", "0.00")
+
+
 def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
-    monkeypatch.setattr(module, "_acts", lambda policy, items: 0.65)
+    monkeypatch.setattr(module.Policy, "act", lambda *_, **__: SimpleNamespace(values=(0.65,)))
     result = cloth_real(runs, SMALL)
     row = result["cloths"][COTTON]["ours"]
     assert row["covered"] == [None] * 3 == row["share"]

@@ -51,19 +51,14 @@ def runs(tmp_path) -> Runs:
 def test_policies_are_trained_unless_they_are_there(runs):
     data = runs.demonstrations("set", Demonstrator(task=RopeReaching(), world=Thrown()), 200)
 
-    def job(epochs, method="distal"):
-        training = Training(method=method, epochs=epochs)
-        return TrainingJob(demonstrations=data, training=training)
+    def job(epochs):
+        return TrainingJob(demonstrations=data, training=Training(epochs=epochs))
 
     made = []
     for epochs in (1, 1, 2):
         (policy,) = runs.policies({"a": job(epochs)}).values()
         made.append((policy.description, (runs.folder / "a.onnx").stat().st_mtime_ns))
     assert made[0] == made[1] and made[2][0].training["epochs"] == 2
-    # the best of a search is taken and all are told
-    policy, errors = runs.best("inverse", {str(n): job(n, "inverse") for n in (1, 40)})
-    assert set(errors) == {"1", "40"} and errors["40"] < errors["1"]
-    assert policy.description.training["epochs"] == 40
 
 
 @pytest.mark.slow
@@ -121,18 +116,24 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
         goals=3, demonstrations=200, real=20, epochs=3, steps=30, executions=2, refine=4
     )
     result = rope_real(runs, settings)
-    rows = result["drawn"]["errors"]
+    rows = result["errors"]
     assert {"ours", "sim+real", "pi_RD, rope", "R2S2R, ropes, inverse", "polished"} <= set(rows)
     assert all(len(errors) == 9 for errors in rows.values())
-    mean = {name: np.mean(errors) for name, errors in rows.items()}
-    assert mean["polished, 2 executions"] < mean["polished, 1 execution"] < mean["polished"]
-    assert mean["polished"] == pytest.approx(0.02 * 0.3, rel=0.5)
-    assert result["drawn"]["made_of"]["simulator"] == pytest.approx(0.02 * 0.3, rel=1e-3)
-    assert len(result["seven"]["goals"]) == 21
+    # some of the goals lie beyond the reach of these ropes
+    middle = {name: np.median(errors) for name, errors in rows.items()}
+    assert middle["polished, 2 executions"] < middle["polished, 1 execution"] < middle["polished"]
+    assert middle["polished"] == pytest.approx(0.02 * 0.3, rel=0.5)
+    assert result["made_of"]["simulator"] == pytest.approx(0.02 * 0.3, rel=1e-3)
+    goals = np.ravel(result["goals"])
+    assert (np.diff(goals[::3]) > 0.0).all()  # evenly over the reach of each rope
+    # the best of each search is taken, and all are told
+    assert all(
+        len(result["searches"][f"pi_RD, {which}, inverse"]) == 8 for which in ("rope", "ropes")
+    )
     *shown, after = shown_of(json.loads(json.dumps(result)))
     assert isinstance(after, Chart) and after.lines is not None
-    assert after.lines["mean"][0] == [0, 1, 2]
-    assert after.lines["mean"][1][0] == pytest.approx(1e3 * mean["polished"])
+    assert after.lines["median"][0] == [0, 1, 2]
+    assert after.lines["median"][1][0] == pytest.approx(1e3 * middle["polished"])
     lines = "\n".join(map(str, shown))
     assert "polished, 1 execution" in lines and "0.112" in lines
 
