@@ -14,8 +14,10 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from unittest.mock import patch
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -33,8 +35,9 @@ from gendom.sim import (
     cloth,
     rope,
 )
+from gendom.sim.thin.run import Run
 from gendom.tasks import RopeReaching
-from gendom.tasks.world import Simulation
+from gendom.tasks.world import POINTS, Simulation
 
 ROPE = Material(E=1.0e6, nu=0.3, density=1000.0, damping=0.004)
 CLOTH = Material(E=6.0e5, nu=0.3, density=400.0, damping=0.005)
@@ -88,7 +91,10 @@ def timed(given: argparse.Namespace, job: Callable[[], object]) -> float:
     return statistics.median(times[1:])
 
 
-def release(given: argparse.Namespace, worlds: int, threads: int | None, engine: str) -> float:
+def release(
+    given: argparse.Namespace, worlds: int, threads: int | None, engine: str,
+    clock: Callable[..., float] = timed,
+) -> float:  # fmt: skip
     """Rope reaching with random releases and materials."""
     task = RopeReaching().of_one_size()
     rng = np.random.default_rng(0)
@@ -96,7 +102,7 @@ def release(given: argparse.Namespace, worlds: int, threads: int | None, engine:
     actions = task.sample_actions(task.item, rng, worlds)
     dtype = given.dtype if engine == "thin" else "float32"
     world = Simulation(engine=engine, device=given.device, dtype=dtype, threads=threads)
-    return timed(given, lambda: world.carry_out(task, items, actions))
+    return clock(given, lambda: world.carry_out(task, items, actions))
 
 
 def one_release(given: argparse.Namespace) -> tuple[float, str]:
@@ -111,6 +117,29 @@ def releases(given: argparse.Namespace) -> tuple[float, str]:
         f"{given.worlds} rope-reaching rollouts: 40,000 would take "
         f"{seconds * 4e4 / given.worlds:.1f} s"
     )
+
+
+def kernels(given: argparse.Namespace) -> tuple[float, str]:
+    """The same ropes: steps of points a second in kernels alone, one thread on the CPU."""
+    launch, taken = Run.launch, {}
+
+    def timed_launch(run: Run, group: slice) -> None:
+        wp.synchronize()
+        began = time.perf_counter()
+        launch(run, group)
+        wp.synchronize()
+        taken[run] = taken.get(run, 0.0) + time.perf_counter() - began
+
+    def alone(given: argparse.Namespace, job: Callable[[], object]) -> float:
+        timed(given, job)
+        taken.clear()
+        job()
+        return sum(taken.values())
+
+    with patch.object(Run, "launch", timed_launch):
+        seconds = release(given, given.worlds, 1, "thin", alone)
+    rate = POINTS * sum(int(run.plan.steps.sum()) for run in taken) / seconds
+    return seconds, f"kernels of {given.worlds} rollouts: {rate / 1e9:.3g} G point-steps/s"
 
 
 @dataclass(frozen=True)
@@ -257,6 +286,7 @@ def spreading(given: argparse.Namespace) -> tuple[float, str]:
 JOBS = {
     "release": one_release,
     "releases": releases,
+    "kernels": kernels,
     "rope-lift": rope_lift,
     "rope-gradient": rope_gradient,
     "sheet-lift": sheet_lift,

@@ -84,8 +84,8 @@ FLOAT32 = Variant(wp.float32, damped=True, sorts=True, room=96_000, threads=128)
 FLOAT64 = Variant(wp.float64, damped=False, sorts=True, threads=256)
 
 
-def of_thin(kind, real, name):
-    return getattr(make_kernels(real, kind), name)
+def of_thin(kind, real, name, held=0):
+    return getattr(make_kernels(real, kind, held), name)
 
 
 SOURCES = {
@@ -99,8 +99,10 @@ SOURCES = {
         for real in (wp.float32, wp.float64)
         for name in ("advance", "reverse")
     },
-}
-FAST = ("mpm float32", "rod float64 advance", "shell float32 reverse")
+    **{f"rods of {32 * held} points": partial(of_thin, "rod", wp.float64, "advance", held)
+       for held in (1, 2, 4)},
+}  # fmt: skip
+FAST = ("mpm float32", "rods of 32 points", "shell float32 reverse")
 
 
 @pytest.mark.parametrize(

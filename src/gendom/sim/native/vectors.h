@@ -21,6 +21,14 @@ CUDA_CALLABLE inline int block_any(int value) {
 #endif
 }
 
+// The sum over the threads of a block of one warp; each has it.
+template <typename real> CUDA_CALLABLE inline real warp_sum(real value) {
+#if defined(__CUDA_ARCH__)
+    for (int by = 16; by > 0; by /= 2) value += __shfl_xor_sync(0xffffffffu, value, by);
+#endif
+    return value;
+}
+
 template <typename T> struct number_of { typedef T type; };
 
 #if defined(__CUDA_ARCH__)
@@ -150,10 +158,34 @@ template <typename T> struct directors {
     }
 };
 
+// Vectors and quaternions among the components of points, of which `Own` gets and puts the numbers.
+template <typename Own> struct components {
+    CUDA_CALLABLE inline const Own& own() const { return static_cast<const Own&>(*this); }
+
+    template <typename T> CUDA_CALLABLE inline void add(int c, int i, const T& a) const {
+        own().put(c, i, own().template get<T>(c, i) + a);
+    }
+    template <typename T> CUDA_CALLABLE inline vec<T> get3(int c, int i) const {
+        return {own().template get<T>(c, i), own().template get<T>(c + 1, i), own().template get<T>(c + 2, i)};
+    }
+    template <typename T> CUDA_CALLABLE inline void put3(int c, int i, const vec<T>& a) const {
+        own().put(c, i, a.x), own().put(c + 1, i, a.y), own().put(c + 2, i, a.z);
+    }
+    template <typename T> CUDA_CALLABLE inline void add3(int c, int i, const vec<T>& a) const {
+        add(c, i, a.x), add(c + 1, i, a.y), add(c + 2, i, a.z);
+    }
+    template <typename T> CUDA_CALLABLE inline quat<T> get4(int c, int i) const {
+        return {get3<T>(c, i), own().template get<T>(c + 3, i)};
+    }
+    template <typename T> CUDA_CALLABLE inline void put4(int c, int i, const quat<T>& q) const {
+        put3(c, i, q.v), own().put(c + 3, i, q.w);
+    }
+};
+
 // The rows of an array [rows, components, points] from point 0 on; points stand after a margin.
 constexpr int margin = 8;
 
-template <typename real> struct rows_of {
+template <typename real> struct rows_of : components<rows_of<real>> {
     real* first;
     int pitch;
 
@@ -178,24 +210,6 @@ template <typename real> struct rows_of {
 #else
         __builtin_memcpy(first + c * pitch + i, &a, sizeof(T));
 #endif
-    }
-    template <typename T> CUDA_CALLABLE inline void add(int c, int i, const T& a) const {
-        put(c, i, get<T>(c, i) + a);
-    }
-    template <typename T> CUDA_CALLABLE inline vec<T> get3(int c, int i) const {
-        return {get<T>(c, i), get<T>(c + 1, i), get<T>(c + 2, i)};
-    }
-    template <typename T> CUDA_CALLABLE inline void put3(int c, int i, const vec<T>& a) const {
-        put(c, i, a.x), put(c + 1, i, a.y), put(c + 2, i, a.z);
-    }
-    template <typename T> CUDA_CALLABLE inline void add3(int c, int i, const vec<T>& a) const {
-        add(c, i, a.x), add(c + 1, i, a.y), add(c + 2, i, a.z);
-    }
-    template <typename T> CUDA_CALLABLE inline quat<T> get4(int c, int i) const {
-        return {get3<T>(c, i), get<T>(c + 3, i)};
-    }
-    template <typename T> CUDA_CALLABLE inline void put4(int c, int i, const quat<T>& q) const {
-        put3(c, i, q.v), put(c + 3, i, q.w);
     }
 };
 

@@ -29,6 +29,9 @@ from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
 SHORTEST_SUBSTEP = 1e-9
 """Below, the steps of two seconds outnumber their counter of 32 bits [s]."""
 
+MOST_HELD, MOST_GRIPPERS = 4, 15
+"""Of rods in the registers of 32 CUDA threads: points in each, and grippers, at most."""
+
 GROUP, SHARES = 16, 32
 """Maximum number of worlds that a CPU thread simulates at a time, of many a share of all."""
 
@@ -53,7 +56,10 @@ class ThinEngine(Engine):
         fix = "a softer or denser material, fewer points, or a longer substep"
         s.check_substep(SHORTEST_SUBSTEP, fix=fix)
         self.types = make_types(self.real)
-        self.kernels = make_kernels(self.real, m.kind)
+        short = m.kind == "rod" and n <= 32 * MOST_HELD and G <= MOST_GRIPPERS
+        self.held = -(-n // 32) if s.device.is_cuda and short and not s.self_contact else 0
+        """Points of a rod that a thread's registers hold; 0: its state is in memory."""
+        self.kernels = make_kernels(self.real, m.kind, self.held)
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
         """Of a world."""
         self.block = self.threads if self.threads > 1 else 256
@@ -73,7 +79,10 @@ class ThinEngine(Engine):
         rest = along if isinstance(m, RodModel) else s.body.points
         # a body with holes and notches may be shorter between two points than they tell
         self.ties = Ties(rest, (W, G), s) if G > 1 and s.body.cut is None else None
-        self.device_model = self._device_model()
+        self.device_model = model = self._device_model()
+        led = ("place", "holds", "inertia", "loose")
+        self._led = {name: getattr(model, name).numpy() for name in led}
+        """Arrays of the kernels' model that change where grippers close and open, on the host."""
         self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = s.start_time
         """Time of the state [s]."""
@@ -122,9 +131,9 @@ class ThinEngine(Engine):
         """Components [W, n, k] of the state, or of other rows."""
         return self.pick(which, (self.state if rows is None else rows).numpy())
 
-    def pick(self, which: slice, rows: Array) -> Array:
-        """Components [k, n, .] of rows [k, ., P]."""
-        return np.swapaxes(rows[:, which][..., self.columns], 1, 2).astype(float)
+    def pick(self, which: slice, rows: Array, worlds: Any = slice(None)) -> Array:
+        """Components [k, n, .] of rows [W, ., P], of worlds [k]."""
+        return np.swapaxes(rows[worlds, which][..., self.columns], 1, 2).astype(float)
 
     def positions(self) -> Array:
         """Positions of points, [W, n, 3] [m]."""
@@ -266,12 +275,14 @@ class ThinEngine(Engine):
             closes &= now < end[worlds, g]
             if closes.any():
                 events.append(self._close(g, worlds[closes], now[closes]))
+        if events:
+            self.hold(np.unique(np.concatenate([event.worlds for event in events])))
         return events
 
     def _close(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
-        state, pose = self.state.numpy()[worlds], self.paths.pose(g, worlds, now)
-        x, radius = self.pick(X, state), self.stacked["radius"][worlds, g]
-        q = self.pick(Q, state)[:, :-1] if self.model.directed else x
+        rows, pose = self.state.numpy(), self.paths.pose(g, worlds, now)
+        x, radius = self.pick(X, rows, worlds), self.stacked["radius"][worlds, g]
+        q = self.pick(Q, rows, worlds)[:, :-1] if self.model.directed else x
         given = (x, q, self.holds[worlds], radius, *vars(pose).values())
         # worlds that begin alike hold alike
         alike = all((values == values[:1]).all() for values in given)
@@ -294,41 +305,43 @@ class ThinEngine(Engine):
             )
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
-        rows = worlds * self.closed.shape[1] + g
-        put(self.device_model.place, rows, self.rows(grip.place))
-        self.hold(worlds)
+        self._lead("place", worlds * self.closed.shape[1] + g, self.rows(grip.place))
         return Event(g, True, worlds, now, pose, grip, x)
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
-        rows = self.state.numpy()[worlds]
-        x = self.pick(X, rows)
+        rows = self.state.numpy()
+        x = self.pick(X, rows, worlds)
         pose = self.paths.pose(g, worlds, now)
         grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), [])
         v, spin = released(x, pose, grip.holds)
-        rows[:, V] += self.rows(np.swapaxes(v, 1, 2))
+        rows[worlds, V] += self.rows(np.swapaxes(v, 1, 2))
         if self.model.directed:
-            rows[:, SPIN] += self.rows(np.swapaxes(spin, 1, 2))
-        put(self.state, worlds, rows)
+            rows[worlds, SPIN] += self.rows(np.swapaxes(spin, 1, 2))
+        if self.setting.device.is_cuda:  # on the CPU they are the array's own memory
+            self.state.assign(rows)
         self.closed[worlds, g] = 2
         self.holds[worlds, g] = 0
         self.stiffer[worlds, g] = 1.0
-        self.hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
     def hold(self, worlds: NDArray[np.int64]) -> None:
         """Copy what worlds [k] hold, and the stiffness at its borders, to the kernels' model."""
-        model = self.device_model
-        put(model.holds, worlds, self.holds[worlds])
+        self._lead("holds", worlds, self.holds[worlds])
         if self.ties is not None:
-            place = model.place.numpy().reshape(*self.closed.shape, -1, self.row_length)
+            place = self._led["place"].reshape(*self.closed.shape, -1, self.row_length)
             self.ties.hold(worlds, self.holds[worlds], place[worlds, :, :3][..., self.slots])
-        m, inertia = self.model, model.inertia.numpy()[worlds]
+        m = self.model
         borders = m.at_borders(worlds, self.stiffer[worlds].prod(axis=1))
-        inertia[:, m.border_rows] = self.rows(borders)
-        put(model.inertia, worlds, inertia)
+        self._lead("inertia", (worlds[:, None], m.border_rows), self.rows(borders))
         if self.setting.self_contact:
             free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
-            put(model.loose, worlds, self.rows((self.per_mass[worlds] * free)[:, None]))
+            self._lead("loose", worlds, self.rows((self.per_mass[worlds] * free)[:, None]))
+
+    def _lead(self, name: str, rows: Any, values: Array) -> None:
+        """Set rows of an array in ``_led``; on the CPU it is the kernels' own memory."""
+        self._led[name][rows] = values
+        if self.setting.device.is_cuda:
+            getattr(self.device_model, name).assign(self._led[name])
 
     def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a

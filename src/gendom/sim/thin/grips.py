@@ -290,10 +290,12 @@ class Ties:
     def hold(self, worlds: NDArray[np.int64], holds: Array, place: Array) -> None:
         """Let worlds [k] hold ``holds`` [k, G, n], with places [k, G, 3, n]."""
         for p, pair in enumerate(self._pairs):
-            alike: dict[bytes, list[int]] = {}  # the few ways of holding
-            for k, one in enumerate(holds[:, pair]):
-                alike.setdefault(one.tobytes(), []).append(k)
-            for some in alike.values():
+            # the few ways of holding
+            ways = np.unique(holds[:, pair].reshape(len(worlds), -1), axis=0, return_inverse=True)[
+                1
+            ]
+            for way in range(ways.max() + 1):
+                some = np.flatnonzero(ways.reshape(-1) == way)
                 i, j = map(np.flatnonzero, holds[some[0], pair] & 1)
                 far = cdist(self._rest[i], self._rest[j])
                 self._most[worlds[some], p] = (1.0 + STRETCH) * far.min(initial=np.inf)
@@ -306,12 +308,13 @@ class Ties:
 
     def are_safe(self, paths: HostPaths, group: slice) -> bool:
         """Whether the centres of grippers of a group of worlds stay close enough, as a glance at
-        their knots tells where these have the same times."""
+        their knots tells where these have the same times, or one of a pair stays where it is."""
         time, x = paths.arrays["time"][group], paths.arrays["position"][group]
         first, second = self._ends
-        way = x[:, second] - x[:, first]
+        way, still = x[:, second] - x[:, first], (x == x[:, :, :1]).all(axis=(2, 3))
         far2, most = np.einsum("wpkc,wpkc->wpk", way, way).max(axis=2), self._centres[group]
-        return bool((far2 < most * np.abs(most)).all() and (time == time[:, :1]).all())
+        alike = (time[:, first] == time[:, second]).all(axis=2) | still[:, first] | still[:, second]
+        return bool((alike & (far2 < most * np.abs(most))).all())
 
     def broken(
         self, paths: HostPaths, worlds: NDArray[np.int64], begin: Array, end: Array

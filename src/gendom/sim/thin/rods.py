@@ -80,7 +80,7 @@ class RodModel:
         """Largest distance between neighbouring points [m]."""
         self.apart = 2 + int(np.ceil(diameter / length.min()))
         """Smallest number of points along the rod between parts that can be in self-contact."""
-        self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 16) * 16 + MARGIN
+        self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 32) * 32 + MARGIN
         """[n] positions of points in a row, and how long that is."""
         first = Rotation.from_matrix(fixed_frame(step[0]).T).as_quat()
         self.rest_q = rotation.transported(first, step)

@@ -66,11 +66,11 @@ class Schedule:
             for name in ("begins", "done", "steps", "dt", "frame"):
                 getattr(self, name)[worlds, :count] = of[name]
             self.due[worlds, 1 : count + 1] = of["due"]
-        last = engine.last_dt.copy()
-        for k in range(S):
-            self.before[:, k] = last
-            last = np.where(self.steps[:, k] > 0, self.dt[:, k], last)
-        self.last_dt = last
+        taken = np.maximum.accumulate(np.where(self.steps > 0, np.arange(S), -1), axis=1)
+        last = np.take_along_axis(self.dt, np.maximum(taken, 0), axis=1)
+        last = np.where(taken < 0, engine.last_dt[:, None], last)
+        self.before[:, :1], self.before[:, 1:] = engine.last_dt[:, None], last[:, :-1]
+        self.last_dt = last[:, -1].copy()
         """[W] length of the last step [s]."""
 
     def time(self, w: Any, s: Any) -> Array:

@@ -4,7 +4,8 @@ The integrator is leapfrog (Stoermer-Verlet): forces at the start of a step adva
 the middle of the previous step to the middle of this one, and velocities advance positions and
 directions to its end. Contact with the table and obstacles changes velocities so that no point ends
 in one of them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
-world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU.
+world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU. Between steps
+its state is in rows in memory, that of short rods on CUDA in registers.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -28,11 +29,16 @@ from gendom.sim.thin.types import make_types
 CHECKED = 256
 """Steps between two checks of a body's mean stretch."""
 
+POSES = 64
+"""Of grippers of a rod in registers in the next steps, see ``native/registers.h``."""
+
 
 @functools.cache
-def make_kernels(real: Any, kind: str) -> SimpleNamespace:
-    """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``."""
-    types, native, paths_of = make_types(real), make_native(real, kind), make_paths(real)
+def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
+    """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``; with
+    ``held`` points of rods without contact with themselves in the registers of each thread."""
+    types, native, paths_of = make_types(real), make_native(real, kind, held), make_paths(real)
+    Registers = native.Registers
     ThinModel, ModelAdjoint, ThinRun = types.ThinModel, types.ModelAdjoint, types.ThinRun
     vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
     limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
@@ -87,57 +93,6 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         native.block_sync()
 
     @wp.func
-    def step(
-        model: ThinModel, paths: Paths, w: int, thread: int, state: rows, row: int, next: int,
-        began: wp.float64, t: wp.float64, dt: real, kick: real,
-    ) -> real:  # fmt: skip
-        """Take a step of dt from one row of the state to the next; it ends at time t.
-
-        Args:
-            began: When the piece of the schedule began, for the grippers that are closed [s].
-            kick: Time from the middle of the previous step to the middle of this one [s].
-
-        Returns:
-            The largest squared stretch of an edge, NaN if any is.
-        """
-        if model.obstacles.shape[1] > 0:
-            place_obstacles(model, w, thread, t, dt)
-        stretch = native.forces(model, w, state, row, next, dt)
-        native.block_sync()
-        native.move(model, w, state, row, next, dt, kick)
-        native.block_sync()
-        hold_all(model, w, began, t, paths, state, next)
-        if model.contact == 1:
-            native.resolve(model, w, state, next, dt)
-        return stretch
-
-    @wp.func
-    def step_adjoint(
-        model: ThinModel, adjoint: ModelAdjoint, paths: Paths, turns_kept: rows, w: int, at: int,
-        thread: int, state: rows, row: int, next: int, began: wp.float64, t: wp.float64, dt: real,
-        kick: real,
-    ):  # fmt: skip
-        """Transpose of ``step``, which is repeated: the next row is rewritten."""
-        if model.obstacles.shape[1] > 0:
-            place_obstacles(model, w, thread, t, dt)
-        native.forces(model, w, state, row, next, dt)
-        native.block_sync()
-        if model.contact == 1:
-            # the next row as contacts found it; steps from there have been transposed
-            native.move(model, w, state, row, next, dt, kick)
-            native.block_sync()
-            hold_all(model, w, began, t, paths, state, next)
-            listed = state.shape[1] - LISTED
-            native.resolve_adjoint(model, adjoint, w, turns_kept, at, state, next, listed, dt)
-        hold_all_adjoint(model, adjoint, w, thread, began, t, paths)
-        native.move_adjoint(model, adjoint, w, state, row, dt, kick)
-        native.block_sync()
-        native.forces_adjoint(model, adjoint, w, state, row, dt)
-        native.block_sync()
-        native.gather_adjoint(model, adjoint, w)
-        native.block_sync()
-
-    @wp.func
     def kick_of(run: ThinRun, w: int, p: int, k: int):
         """Time from the middle of the previous step to the middle of step k of a piece [s]."""
         kick = run.dt[w, p]
@@ -185,14 +140,89 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         native.block_sync()
         native.move(model, w, state, w, w + state.shape[0] // 2, dt, dt)
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    @wp.func
+    def steps_in_rows(
+        model: ThinModel, paths: Paths, run: ThinRun, w: int, thread: int, threads: int, p: int,
+        first: int, end: int,
+    ) -> int:  # fmt: skip
+        """Take steps of a piece; returns whether the squared stretch of an edge exceeded
+        ``limit``. Grippers are closed that were when the piece began."""
+        state, dt, row = run.state, real(run.dt[w, p]), int(w - run.offset + first * run.stride)
+        bad = int(0)
+        for k in range(first, end):
+            next, t = row + run.stride, end_of(run, w, p, k)
+            if model.obstacles.shape[1] > 0:
+                place_obstacles(model, w, thread, t, dt)
+            if not native.forces(model, w, state, row, next, dt) <= limit:
+                bad = 1
+            native.block_sync()
+            native.move(model, w, state, row, next, dt, kick_of(run, w, p, k))
+            native.block_sync()
+            hold_all(model, w, run.begins[w, p], t, paths, state, next)
+            if model.contact == 1:
+                native.resolve(model, w, state, next, dt)
+            row = next
+            if model.contact * run.stride > 0:
+                native.keep_list(model, w, state, row, state.shape[1] - LISTED)
+        return bad
+
+    @wp.func
+    def steps_in_registers(
+        model: ThinModel, paths: Paths, run: ThinRun, w: int, thread: int, threads: int, p: int,
+        first: int, end: int,
+    ) -> int:  # fmt: skip
+        """As ``steps_in_rows``; each thread finds where grippers are at the end of another step."""
+        row, h = int(w - run.offset + first * run.stride), real(run.dt[w, p])
+        closed = int(0)
+        for g in range(model.holds.shape[1]):
+            if paths_of.is_closed(w, g, run.begins[w, p], paths):
+                closed |= 1 << g
+        own = Registers()
+        holds = native.begin(model, w, run.state, row, closed, own)
+        most = POSES // wp.max(model.holds.shape[1], POSES // 32)
+        shares = vec3()
+        bad = int(0)
+        for k in range(first, end):
+            kick = h
+            if k == 0:
+                kick = kick_of(run, w, p, k)
+            if k == first or k == 1:
+                shares = native.shares_of(model, w, h, kick)
+            ahead = (k - first) % most
+            if closed != 0 and ahead == 0:
+                native.block_sync()
+                for i in range(thread, most, threads):
+                    for g in range(model.holds.shape[1]):
+                        if (closed >> g) & 1 == 1:
+                            at, q, _knot = paths_of.placed(w, g, end_of(run, w, p, k + i), paths)
+                            native.put_pose(i + g * most, vec3(at), quat(q))
+                native.block_sync()
+            if model.obstacles.shape[1] > 0:
+                place_obstacles(model, w, thread, end_of(run, w, p, k), h)
+            if not native.step_in_registers(
+                model, w, own, holds, ahead, most, h, kick, shares
+            ) <= limit:  # fmt: skip
+                bad = 1
+            if run.stride > 0:
+                row += run.stride
+                native.store(run.state, row, own)
+        if run.stride == 0:
+            native.store(run.state, row, own)
+        native.block_sync()
+        return bad
+
+    steps = steps_in_registers if held else steps_in_rows
+    # so many ropes on a multiprocessor: more have to keep too much in memory
+    bounds = (32, 12 if real == wp.float64 else 16) if held == 1 else None
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds)
     def advance(first: int, threads: int, model: ThinModel, paths: Paths, run: ThinRun):
         """Take the next pieces of a run, until a world exceeds a limit: ``limit`` of the squared
         stretch of an edge, or ``mean_limit`` of the mean, every CHECKED steps and where pieces
         end."""
         w = first + wp.tid() // threads
         thread = wp.tid() % threads
-        state, kept, stride = run.state, run.kept, run.stride
+        state, kept = run.state, run.kept
         row = w - run.offset
         if run.span.shape[0] > 0:
             if thread == 0:
@@ -207,43 +237,32 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                             kept[to, c, i] = state[row, c, i]
                     if kept.shape[1] > state.shape[1]:
                         native.keep_list(model, w, kept, to, state.shape[1])
-                if model.contact * stride > 0:
+                if model.contact * run.stride > 0:
                     native.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
-                began = run.begins[w, p]
-                h = real(run.dt[w, p])
-                t = end_of(run, w, p, -1)
                 bad = int(0)
-                for k in range(run.steps[w, p]):
-                    t = end_of(run, w, p, k)
-                    kick = kick_of(run, w, p, k)
-                    next = row + stride
-                    if not step(
-                        model, paths, w, thread, state, row, next, began, t, h, kick
-                    ) <= limit:  # fmt: skip
+                k = int(0)
+                count = run.steps[w, p]
+                last = row + count * run.stride
+                while k < count and bad == 0:
+                    end = wp.min(k + CHECKED, count)
+                    bad = steps(model, paths, run, w, thread, threads, p, k, end)
+                    k = end
+                    if not native.mean_stretch(model, state, row + k * run.stride) <= mean_limit:
                         bad = 1
-                    row = next
-                    if model.contact * stride > 0:
-                        native.keep_list(model, w, state, row, state.shape[1] - LISTED)
-                    if (k + 1) % CHECKED == 0:
-                        if not native.mean_stretch(model, state, row) <= mean_limit:
-                            bad = 1
-                        if native.block_any(bad) != 0:
-                            break
-                if not native.mean_stretch(model, state, row) <= mean_limit:
-                    bad = 1
+                    bad = native.block_any(bad)
                 if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
                     if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
                         bad = 1
-                if native.block_any(bad) != 0:
+                if bad != 0:
                     run.stopped[w] = p
-                    run.stopped_at[w] = t
+                    run.stopped_at[w] = end_of(run, w, p, k - 1)
                 else:
                     f = run.frame[w, p]
                     if f >= 0:
                         for k in range(thread, run.points.shape[0], threads):
                             i = model.slot[run.points[k]]
                             run.frames[f, w, k] = vec3(
-                                state[row, 0, i], state[row, 1, i], state[row, 2, i]
+                                state[last, 0, i], state[last, 1, i], state[last, 2, i]
                             )
                 native.block_sync()
 
@@ -272,13 +291,35 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                     adjoint.state[w, c, i] = adjoint.state[w, c, i] + frames_bar[f, w, k][c]
         native.block_sync()
         count = run.steps[w, p]
+        state, began, dt = run.state, run.begins[w, p], real(run.dt[w, p])
         for back in range(count):
             k = count - 1 - back
-            row = w - run.offset + k * run.stride
-            step_adjoint(
-                model, adjoint, paths, turns_kept, w, w - run.offset, thread, run.state, row,
-                row + run.stride, run.begins[w, p], end_of(run, w, p, k), real(run.dt[w, p]),
+            row, t, kick = (
+                w - run.offset + k * run.stride,
+                end_of(run, w, p, k),
                 kick_of(run, w, p, k),
-            )  # fmt: skip
+            )
+            next = row + run.stride
+            # the step is repeated: the next row is rewritten
+            if model.obstacles.shape[1] > 0:
+                place_obstacles(model, w, thread, t, dt)
+            native.forces(model, w, state, row, next, dt)
+            native.block_sync()
+            if model.contact == 1:
+                # the next row as contacts found it; steps from there have been transposed
+                native.move(model, w, state, row, next, dt, kick)
+                native.block_sync()
+                hold_all(model, w, began, t, paths, state, next)
+                native.resolve_adjoint(
+                    model, adjoint, w, turns_kept, w - run.offset, state, next,
+                    state.shape[1] - LISTED, dt,
+                )  # fmt: skip
+            hold_all_adjoint(model, adjoint, w, thread, began, t, paths)
+            native.move_adjoint(model, adjoint, w, state, row, dt, kick)
+            native.block_sync()
+            native.forces_adjoint(model, adjoint, w, state, row, dt)
+            native.block_sync()
+            native.gather_adjoint(model, adjoint, w)
+            native.block_sync()
 
     return functions_of(locals())

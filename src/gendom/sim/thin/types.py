@@ -11,6 +11,7 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -66,7 +67,8 @@ def parameters_of(thickness: ArrayLike, materials: Sequence[Material]) -> dict[s
     """[W, 1] parameters that ``coefficients`` of a model follow from, by name; a ``membrane`` that
     is not a number is that of E."""
     names = ("E", "nu", "density", *OF_THIN)
-    found = {n: np.array([[getattr(m, n)] for m in materials], dtype=float) for n in names}
+    of = np.array(list(map(attrgetter(*names), materials)), dtype=float)
+    found = dict(zip(names, of.T[..., None], strict=True))
     return found | {"thickness": np.full((len(materials), 1), thickness)}
 
 

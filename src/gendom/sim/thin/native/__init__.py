@@ -14,15 +14,16 @@ from gendom.sim.thin.types import make_types
 
 MODULE_OPTIONS = module_options(
     __name__,
-    "surroundings.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "shell.h",
+    "surroundings.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "registers.h",
+    "shell.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
 
 
 @functools.cache
-def make_native(real: Any, kind: str) -> SimpleNamespace:
+def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
     """Declare the native functions of steps for one scalar type and one kind of body, ``rod`` or
-    ``shell``; the headers say what they do."""
+    ``shell``; the headers say what they do. ``held``: points of a rod in a thread's registers."""
     types = make_types(real)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
     vec3, quat = types.vec3, types.quat
@@ -64,12 +65,40 @@ def make_native(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native("gendom::hold_adjoint(model, adjoint, w, g, turned);")
     def hold_adjoint(model: ThinModel, adjoint: ModelAdjoint, w: int, g: int, turned: quat): ...
 
-    # contact of a body with itself
+    # a rod in registers
 
-    @wp.func_native("gendom::rebuild_lists(model, w, state, row, c, far);")
+    Registers, Holds = (wp.types.vector(k * max(held, 1), of) for k, of in ((19, real), (1, int)))
+
+    @wp.func_native("return gendom::begin(model, w, state, row, closed, own);")
+    def begin(
+        model: ThinModel, w: int, state: rows, row: int, closed: int, own: wp.ref[Registers]
+    ) -> Holds: ...
+
+    @wp.func_native("gendom::store(state, row, own);")
+    def store(state: rows, row: int, own: wp.ref[Registers]): ...
+
+    @wp.func_native("gendom::put_pose(index, centre, turned);")
+    def put_pose(index: int, centre: vec3, turned: quat): ...
+
+    @wp.func_native("return gendom::shares_of(model, w, dt, kick);")
+    def shares_of(model: ThinModel, w: int, dt: real, kick: real) -> vec3: ...
+
+    @wp.func_native(
+        "return gendom::step_in_registers(model, w, own, holds, ahead, apart, dt, kick, shares);"
+    )
+    def step_in_registers(
+        model: ThinModel, w: int, own: wp.ref[Registers], holds: Holds, ahead: int, apart: int,
+        dt: real, kick: real, shares: vec3,
+    ) -> real: ...  # fmt: skip
+
+    # contact of a body with itself; kernels with rods in registers have no shared memory for it
+
+    lists = held == 0
+
+    @wp.func_native(lists * "gendom::rebuild_lists(model, w, state, row, c, far);" + ";")
     def rebuild_lists(model: ThinModel, w: int, state: rows, row: int, c: int, far: real): ...
 
-    @wp.func_native("gendom::keep_list(model, w, state, row, c);")
+    @wp.func_native(lists * "gendom::keep_list(model, w, state, row, c);" + ";")
     def keep_list(model: ThinModel, w: int, state: rows, row: int, c: int): ...
 
     @wp.func_native("gendom::resolve(model, w, state, row, dt);")
@@ -81,4 +110,4 @@ def make_native(real: Any, kind: str) -> SimpleNamespace:
         c: int, dt: real,
     ): ...  # fmt: skip
 
-    return functions_of(locals())
+    return SimpleNamespace(**vars(functions_of(locals())), Registers=Registers)

@@ -5,31 +5,40 @@ namespace gendom {
 // Rows of directions and spins in states, and of derivatives, which are by turns in world axes.
 enum { Q = 6, W = 10, Q_BAR = 6, W_BAR = 9 };
 
+// What is held of a point and the edge that begins there goes with its gripper. One that has not turned costs no
+// products.
+template <typename To, typename real>
+CUDA_CALLABLE inline void lead(int holds, const vec<real>& centre, const quat<real>& by, const rows_of<real>& place,
+                               const To& to, int p) {
+    const vec<real> still = {real(0), real(0), real(0)};
+    const bool turned = by.w != real(1);
+    if (holds & 1) {
+        vec<real> away = place.template get3<real>(0, p);
+        if (turned) away = directors<real>(by).to_world(away);
+        to.put3(X, p, centre + away);
+        to.put3(V, p, still);
+    }
+    if (holds & 2) {
+        // q and -q are one direction, but not to the joints: it stays on the side where it is
+        quat<real> q = place.template get4<real>(3, p);
+        if (turned) q = by * q;
+        const quat<real> was = to.template get4<real>(Q, p);
+        const real side = dot(q.v, was.v) + q.w * was.w < real(0) ? real(-1) : real(1);
+        to.put4(Q, p, quat<real>{side * q.v, side * q.w});
+        to.put3(W, p, still);
+    }
+}
+
 // At the end of a step, by a gripper's pose.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void hold(const Model& model, int w, int g, const wp::vec_t<3, real>& centre,
                                const wp::quat_t<real>& turned, const wp::array_t<real>& state,
                                int next) {
-    const int W_G = w * model.holds.shape[1] + g;
-    const rows_of<real> to(state, next), place(model.place, W_G);
+    const rows_of<real> to(state, next), place(model.place, w * model.holds.shape[1] + g);
+    const vec<real> at = {centre[0], centre[1], centre[2]};
     const quat<real> by = {{turned.x, turned.y, turned.z}, turned.w};
-    const directors<real> R(by);
-    const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
-    for (EACH_ONE(i, model.points)) {
-        const int holds = wp::index(model.holds, w, g, i), p = wp::index(model.slot, i) - margin;
-        if (holds & 1) {
-            to.put3(X, p, c + R.to_world(place.template get3<real>(0, p)));
-            to.put3(V, p, still);
-        }
-        if (holds & 2) {
-            // q and -q are one direction, but not to the joints: it stays on the side where it is
-            const quat<real> q = by * place.template get4<real>(3, p);
-            const quat<real> was = to.template get4<real>(Q, p);
-            const real side = dot(q.v, was.v) + q.w * was.w < real(0) ? real(-1) : real(1);
-            to.put4(Q, p, quat<real>{side * q.v, side * q.w});
-            to.put3(W, p, still);
-        }
-    }
+    for (EACH_ONE(i, model.points))
+        lead(wp::index(model.holds, w, g, i), at, by, place, to, wp::index(model.slot, i) - margin);
 }
 
 // Its transpose: to the gripper's pose (six numbers) and to where things stand in it. One thread.

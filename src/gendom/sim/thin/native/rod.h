@@ -88,8 +88,32 @@ template <typename real> struct viscosity {
     }
 };
 
-// Forces and torques in the scratch; the lagged strains go on. Returns the largest squared stretch,
-// not a number if any is not.
+// Of one edge and joint: forces and torques in the scratch; the lagged strains go on. Returns the squared stretch.
+template <typename T, typename State, typename To, typename Out, typename real>
+CUDA_CALLABLE inline T rod_forces_at(int i, const State& s, const To& to, const Out& out,
+                                     const rows_of<real>& rest, const rows_of<real>& k,
+                                     const rows_of<real>& m, const T& c, const T& a) {
+    const quat<T> q = s.template get4<T>(Q, i);
+    const rod_edge<T> edge(s.template get3<T>(X, i + 1) - s.template get3<T>(X, i), q,
+                           rest.template get<T>(PER_LENGTH, i), rest.template get3<T>(REST_E, i));
+    const vec<T> lag_e = s.template get3<T>(LAG_E, i), late_e = edge.e - lag_e;
+    const vec<T> N = edge.force(k.template get3<T>(SHEAR, i) * (edge.e + c * late_e));
+    to.put3(LAG_E, i, lag_e + a * late_e);
+    out.put3(ALONG, i, edge.per_length * edge.d);
+    out.put3(PULL, i, N);
+    out.put3(TURN, i, edge.turn_gradient(N));
+
+    const quat<T> before = s.template get4<T>(Q, i - 1);
+    const rod_joint<T> joint(before, q, rest.template get3<T>(REST_U, i));
+    const vec<T> lag_u = s.template get3<T>(LAG_U, i), late_u = joint.u - lag_u;
+    const vec<T> stress = m.template get<T>(STIFFER, i) * k.template get3<T>(BENDING, i) *
+                          (joint.u + c * late_u);
+    to.put3(LAG_U, i, lag_u + a * late_u);
+    out.put3(MOMENT, i, directors<T>(before).to_world(joint.turn_gradient(stress)));
+    return edge.e.z * edge.e.z * is_above(edge.per_length, T(real(0)));
+}
+
+// Of all of them; returns the largest squared stretch, not a number if any is not.
 template <typename Model, typename real>
 CUDA_CALLABLE inline real rod_forces(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int next, real dt) {
@@ -101,25 +125,7 @@ CUDA_CALLABLE inline real rod_forces(const Model& model, int w, const wp::array_
     const T c = T(visc.share), a = T(visc.follows);
     T worst = T(real(0)), sum = T(real(0));
     for (EACH(i, n)) {
-        const quat<T> q = s.template get4<T>(Q, i);
-        const rod_edge<T> edge(s.template get3<T>(X, i + 1) - s.template get3<T>(X, i), q,
-                               rest.template get<T>(PER_LENGTH, i), rest.template get3<T>(REST_E, i));
-        const vec<T> lag_e = s.template get3<T>(LAG_E, i), late_e = edge.e - lag_e;
-        const vec<T> N = edge.force(k.template get3<T>(SHEAR, i) * (edge.e + c * late_e));
-        to.put3(LAG_E, i, lag_e + a * late_e);
-        out.put3(ALONG, i, edge.per_length * edge.d);
-        out.put3(PULL, i, N);
-        out.put3(TURN, i, edge.turn_gradient(N));
-
-        const quat<T> before = s.template get4<T>(Q, i - 1);
-        const rod_joint<T> joint(before, q, rest.template get3<T>(REST_U, i));
-        const vec<T> lag_u = s.template get3<T>(LAG_U, i), late_u = joint.u - lag_u;
-        const vec<T> stress = m.template get<T>(STIFFER, i) * k.template get3<T>(BENDING, i) *
-                              (joint.u + c * late_u);
-        to.put3(LAG_U, i, lag_u + a * late_u);
-        out.put3(MOMENT, i, directors<T>(before).to_world(joint.turn_gradient(stress)));
-
-        const T stretch = edge.e.z * edge.e.z * is_above(edge.per_length, T(real(0)));
+        const T stretch = rod_forces_at(i, s, to, out, rest, k, m, c, a);
         worst = larger(worst, stretch);
         sum += stretch;
     }
@@ -139,40 +145,44 @@ template <typename Model, typename real>
 CUDA_CALLABLE inline real rod_stretch(const Model& model, const wp::array_t<real>& state, int row) {
     const rows_of<real> s(state, row), rest(model.rest, 0);
     real sum = real(0);
-    for (int i = 0; i + 1 < model.points; ++i) {
+    for (EACH_ONE(i, model.points - 1)) {
         const vec<real> d = s.template get3<real>(X, i + 1) - s.template get3<real>(X, i);
         const real stretch = wp::sqrt(dot(d, d)) * rest.template get<real>(PER_LENGTH, i) - real(1);
         sum += stretch < real(0) ? -stretch : stretch;
     }
-    return sum / real(model.points - 1);
+    return warp_sum(sum) / real(model.points - 1);
 }
 
-// Velocities, positions and directions at the end of a step, of what nobody holds.
+// Velocity, position and direction at the end of a step, of what nobody holds.
+template <typename T, typename State, typename To, typename In, typename real>
+CUDA_CALLABLE inline void rod_move_at(int i, const State& s, const To& to, const In& in,
+                                      const rows_of<real>& m, const motion<T>& go) {
+    const T one = T(real(1)), half = T(real(0.5));
+    const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
+    const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
+    const vec<T> vn = across(v0, along);
+    const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
+                     m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
+    go.step(to, i, x, v0, m.template get<T>(PER_MASS, i), f);
+
+    const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
+                          in.template get3<T>(TURN, i);
+    const vec<T> spin =
+        go.keep * (s.template get3<T>(W, i) + go.kick * m.template get<T>(PER_TURN, i) * torque);
+    quat<T> q = quat<T>{half * go.h * spin, one} * s.template get4<T>(Q, i);
+    const T per = one / root(dot(q.v, q.v) + q.w * q.w);
+    to.put3(W, i, spin);
+    to.put4(Q, i, quat<T>{per * q.v, per * q.w});
+}
+
 template <typename Model, typename real>
 CUDA_CALLABLE inline void rod_move(const Model& model, int w, const wp::array_t<real>& state, int row,
                                    int next, real dt, real kick) {
     typedef typename several<real>::lanes T;
     const int n = model.points;
     const rows_of<real> s(state, row), to(state, next), m(model.inertia, w), in(model.scratch, w);
-    const T one = T(real(1)), half = T(real(0.5));
     const motion<T> go(model, w, dt, kick);
-    for (EACH(i, n)) {
-        const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
-        const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
-        const vec<T> vn = across(v0, along);
-        const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
-                         m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
-        go.step(to, i, x, v0, m.template get<T>(PER_MASS, i), f);
-
-        const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
-                              in.template get3<T>(TURN, i);
-        const vec<T> spin =
-            go.keep * (s.template get3<T>(W, i) + go.kick * m.template get<T>(PER_TURN, i) * torque);
-        quat<T> q = quat<T>{half * go.h * spin, one} * s.template get4<T>(Q, i);
-        const T per = one / root(dot(q.v, q.v) + q.w * q.w);
-        to.put3(W, i, spin);
-        to.put4(Q, i, quat<T>{per * q.v, per * q.w});
-    }
+    for (EACH(i, n)) rod_move_at(i, s, to, in, m, go);
 }
 
 // ---- transposes ----------------------------------------------------------------------------------

@@ -232,13 +232,16 @@ template <typename T> struct motion {
 
     template <typename Model>
     CUDA_CALLABLE inline motion(const Model& model, int w, real dt, real kick)
-        : h(T(dt)), kick(T(kick)), keep(T(wp::exp(-kick * wp::index(model.velocity_damping, w)))),
-          gravity(gravity_of<T>(model, w)), around(model, w, dt) {}
+        : motion(model, w, dt, kick, wp::exp(-kick * wp::index(model.velocity_damping, w))) {}
+    template <typename Model>
+    CUDA_CALLABLE inline motion(const Model& model, int w, real dt, real kick, real keep)
+        : h(T(dt)), kick(T(kick)), keep(T(keep)), gravity(gravity_of<T>(model, w)), around(model, w, dt) {}
 
     CUDA_CALLABLE inline vec<T> free(const vec<T>& v0, const T& per_mass, const vec<T>& f) const {
         return keep * (v0 + kick * (per_mass * f + gravity));
     }
-    CUDA_CALLABLE inline void step(const rows_of<real>& to, int i, const vec<T>& x, const vec<T>& v0,
+    template <typename To>
+    CUDA_CALLABLE inline void step(const To& to, int i, const vec<T>& x, const vec<T>& v0,
                                    const T& per_mass, const vec<T>& f) const {
         const vec<T> v = around.stopped(x, free(v0, per_mass, f));
         to.put3(V, i, v);
