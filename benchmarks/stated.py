@@ -300,7 +300,7 @@ WIRE = "benchmarks/recordings/wire_white_loop.npz"
 FIGURES = (
     covered("rope", "--lifts 45 --seed 200 --measured"),
     covered("wide", "--wide --lifts 45 --measured"),
-    covered("cloth", "--kind cloth --lifts 12"),
+    covered("cloth", "--kind cloth --lifts 15"),
     Figure(
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),

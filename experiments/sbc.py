@@ -163,8 +163,9 @@ def drawn_lifts(
     if item.kind == "rope":
         shown = imagined(scene.finer(limpest), thetas, noise, rng)
     else:
-        finer = ((scene.finer(theta), theta) for theta in thetas)
-        shown = [imagined(one, [theta], noise, rng)[0] for one, theta in finer]
+        shown = [imagined(scene.finer(theta), [theta], noise, rng)[0] for theta in thetas]
+        both = zip(shown, thetas, strict=True)
+        shown = [r and turned(r, scene.frames[0], theta["yaw"]) for r, theta in both]
     found = []
     for recording, theta, v in zip(shown, thetas, vectors, strict=True):
         if recording is not None:
@@ -173,6 +174,14 @@ def drawn_lifts(
             drawn_at = dict(zip(prior.names, v.tolist(), strict=True))
             found.append((misplaced(recording, settings.noise, rng), truth, drawn_at))
     return found
+
+
+def turned(recording: Recording, before: int, yaw: float) -> Recording:
+    """The recording with what lies in the frames before one turned about the gripper [rad]."""
+    points, rest = recording.points.astype(float), slice(0, int(recording.offsets[before]))
+    grip = recording.gripper_position[0, 0]
+    points[rest] = Rotation.from_euler("z", yaw).apply(points[rest] - grip) + grip
+    return replace(recording, points=points.astype(recording.points.dtype))
 
 
 def evenly(frames: Sequence[int] | NDArray[np.intp], count: int) -> tuple[int, ...]:

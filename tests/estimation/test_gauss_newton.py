@@ -116,3 +116,21 @@ def test_renewed_derivatives_leave_a_cloth_as_registered_as_it_was(cloth_lift):
     reached = start.value
     descent._renew([start])
     assert start.exact and start.value <= reached + 0.1
+
+
+def test_a_step_of_a_cloth_that_promises_little_is_not_simulated(monkeypatch):
+    """Its derivatives are computed again first; then it is done."""
+    tried, renewed = [], []
+    descent = Descent(SimpleNamespace(), GaussNewtonSettings.of("cloth"), (), 10.0)  # type: ignore
+    start = Start(initial=np.zeros(1), vector=np.zeros(1), comparison=Comparisons(()))
+
+    def renew(self, starts):
+        renewed.extend(starts)
+        for s in starts:
+            s.exact = True
+
+    monkeypatch.setattr(Descent, "_renew", renew)
+    monkeypatch.setattr(Descent, "_tried", lambda *_: tried.append(1))
+    monkeypatch.setattr(Descent, "propose", lambda *_: ([(np.zeros(1), 9.0, 1e-3)] * 5, None))
+    descent.step([start])
+    assert renewed == [start] and start.done and not tried

@@ -98,7 +98,8 @@ def posterior_of(
     if covariance is None:
         gradient, hessian = problem.gradient_and_hessian(found.best, found.noise)
         covariance = with_episodes(problem, found, np.linalg.inv(hessian))
-        if problem.settings.method != "gauss-newton" or found.interrupted:
+        short = problem.scene.kind == "cloth" and not found.best.done
+        if problem.settings.method != "gauss-newton" or found.interrupted or short:
             # other searches minimise something else, or end before the likelihood is greatest
             added = np.hypot(added, np.abs(np.linalg.solve(hessian, gradient)))
     covariance = with_fingers(problem, found, covariance)
@@ -149,7 +150,7 @@ def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) 
     than this, root mean square of a coordinate [m]; at most the prior's deviation. A world that
     diverges or lies beyond the range of the search says nothing."""
     prior, part = problem.prior, problem.parts[recording]
-    scene = part.coarser if part.scene.kind == "rope" else part.scene
+    scene = part.coarser
     changes = prior.sd[p] * np.array([0.0, *SHARES])
     ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
     worlds = np.tile(vector, (ends.size, 1))

@@ -60,9 +60,10 @@ class NoiseModel:
     beside: float = 0.01
     """Of markers from the axis of a cable [m]: balls of 1 to 2 cm on its sheath."""
     patch: float = 4.0
-    """Points of a thinned cloud, or coordinates of markers, that share their noise."""
+    """Points of a thinned cloud, of a cloth half of them, or coordinates of markers, that share
+    their noise."""
     cloud_points: int = 160
-    """Points of a frame that are compared, at most; four times as many of a cloth."""
+    """Points of a frame that are compared, at most; twice as many of a cloth."""
     rounds: int = 3
     """Most iterations of a registration; each pairs points and places again."""
 
@@ -72,6 +73,7 @@ class NoiseModel:
         thick, noise = scene.recording.object.diameter, self
         if scene.kind == "cloth":
             thick, any_thickness = scene.body.thickness, False
+            noise = replace(noise, patch=noise.patch / 2.0)
         if thick is not None and thick < THIN and not any_thickness:
             noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
@@ -97,7 +99,7 @@ class Observation:
     def __init__(self, scene: LiftScene, noise: NoiseModel | None = None):
         self.scene = scene
         self.noise = noise or NoiseModel()
-        most = self.noise.cloud_points * (1 if scene.kind == "rope" else 4)
+        most = self.noise.cloud_points * (1 if scene.kind == "rope" else 2)
         self.clouds = []
         for t in scene.frames:
             cloud = scene.recording.frame(t).astype(float)

@@ -405,8 +405,8 @@ def _cloth_yaw(recording: Recording, sides: Array, first: Array) -> float:
 def _outline_yaw(points: Array, first: Array, sides: Array) -> tuple[float, float]:
     """The turn with which a rectangle, its first corner at [2], fits points [n, 2] best, both seen
     from the point that it turns about; and the mean distance from points to it and back [m]."""
-    every = math.ceil(len(points) / 2000)
-    points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
+    points = np.random.default_rng(0).permutation(points)[:2000]  # clouds may be lattices
+    grid = (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
     tree, inside = KDTree(points), first + grid * sides
 
     def off(yaw: float) -> float:

@@ -21,8 +21,6 @@ from gendom.estimation.replay import Shape, middle, replay_axis
 from gendom.estimation.scene import (
     COARSE_FRAMES,
     COARSE_POINTS,
-    COARSE_STRETCH,
-    STRETCH,
     LiftScene,
     SceneSettings,
 )
@@ -154,18 +152,22 @@ class Part:
     def observation(self) -> Observation:
         return Observation(self.scene, self.noise)
 
+    def _fewer(self, points: int) -> LiftScene:
+        """The scene with so many points, unless settings fix their number or few are saved."""
+        scene, points = self.scene, max(points, COARSE_POINTS[self.scene.kind])
+        fixed = not scene.thin or scene.settings.points is not None
+        return scene if fixed or scene.along < 1.3 * points else scene.simulated_with(points)
+
     @cached_property
     def coarser(self) -> LiftScene:
-        """The scene with fewer points, unless settings fix their number or few are saved."""
-        scene, rope = self.scene, self.scene.kind == "rope"
-        if not scene.thin or scene.settings.points is not None:
-            return scene
-        along = len(scene.initial) if rope else max(scene.body.shape)
-        points, stretch = COARSE_POINTS[scene.kind], STRETCH if rope else COARSE_STRETCH
-        if scene.limp:
-            points = max(points, (along + 1) // 2) if rope else along
-        few = along < 1.3 * points
-        return scene if few else scene.simulated_with(points, stretch)
+        """The scene with the points with which a search begins."""
+        return self._fewer((self.scene.along + 1) // 2 if self.scene.limp else 0)
+
+    @cached_property
+    def sketch(self) -> LiftScene:
+        """The scene that shows how shapes change."""
+        rope = self.scene.kind == "rope"
+        return self.coarser if rope else self._fewer(2 * self.scene.along // 3)
 
     @cached_property
     def coarse(self) -> Part:
@@ -327,7 +329,7 @@ class Problem:
     ) -> list[Comparisons | None]:
         """Comparisons at transformed parameters [P], None where a world diverges, from one batch
         for each recording; with derivatives by the free parameters of these indices (default:
-        all), those by others are 0, sketched with few points (default: of ropes)."""
+        all), those by others are 0, sketched with few points; False: with all, of ropes."""
         prior, columns = self.prior, []
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
         among = (range(len(prior.names)) if free is None else free) if derivatives else ()
@@ -341,8 +343,8 @@ class Problem:
                 [v, *(v + along[k] * h[k] for k in which)]
                 for v, h in zip(vectors, steps, strict=True)
             ]
-            sketch = part.scene.kind == "rope" if sketched is None else sketched
-            few = part.coarser if sketch and derivatives else part.scene
+            sketch = sketched is not False or part.scene.kind == "cloth"
+            few = part.sketch if sketch and derivatives else part.scene
             shapes, changes = self._shapes(worlds, recording, few)
             found: list[Comparison | None] = []
             for own, here, change, h in zip(worlds, shapes, changes, steps, strict=True):

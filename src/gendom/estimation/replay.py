@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
 from gendom.estimation.markers import aside, axis_beside, material_frames
-from gendom.estimation.scene import COARSE_POINTS, STATIC_SETTLING, LiftScene
+from gendom.estimation.scene import COARSE_POINTS, STATIC_SETTLING, STRETCH, LiftScene
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible_on_sheet
@@ -173,7 +173,7 @@ class WorldInputs:
         scene, described, more = self.scene, self.scene.recording.object, {}
         E = self.E_over_rho * scene.density
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
-        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.stretch)
+        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * STRETCH)
         if scene.kind == "cloth" and scene.thin:
             warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}

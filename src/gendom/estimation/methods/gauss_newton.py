@@ -12,12 +12,13 @@ everything is free, and noise and the model's displacement are estimated in turn
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gendom.arrays import Array
+from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.priors import INSTRUMENTED
@@ -36,8 +37,9 @@ DAMPING, DAMPING_RATIO = (1e-3, 1e3), 30.0
 """Levenberg's and Marquardt's: the least, and that at which a start is given up; ratio of two side
 by side."""
 
-TRIED = 4
-"""Leaps that are simulated as finely as the problem asks for: the nearest ones of a coarse try."""
+STEPS, AT_ONCE = (10, 12, 5), 2
+"""Of a thrifty search the most iterations of its coarse and fine stage and where it is refined, and
+how many steps it tries side by side at first."""
 
 UNLIKELY = 9.0
 """Fall of -2 log likelihood, that of three deviations, beyond which another end does not count."""
@@ -56,22 +58,26 @@ class GaussNewtonSettings:
     leading: tuple[str, ...] = (
         "E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED,
     )  # fmt: skip
-    """Unknowns that are free in the coarse stage, so that others do not absorb their effect."""
+    """Unknowns that are free in the coarse stage, so that others do not absorb their effect; none:
+    all but damping."""
     gain: tuple[float, float] = (2.0, 0.2)
     """Least gain of a step, in the coarse and in the fine stage, before a start has converged."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
-    jumps: tuple[float, ...] = ()
-    """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
+    thrifty: bool = False
+    """Whether few of them are at first, and none that promise less than the least gain."""
+    leap: Callable[[Descent, Start], bool] | None = None
+    """Moves a start that has converged to a better point; returns whether there is one."""
 
     @classmethod
     def of(cls, kind: str) -> GaussNewtonSettings:
         """For ropes or cloths, of which the grip matters as much as the bending, so all unknowns
-        are free; the objective is rugged; and the model's error exceeds the noise of the clouds, so
+        are free but damping, which grows to its bound where the rest is wrong; the objective is
+        rugged; each step takes long; and the model's error exceeds the noise of the clouds, so
         small gains do not count."""
         if kind != "cloth":
             return cls()
-        return cls(leading=(), gain=(2.0, 10.0), rugged=True)
+        return cls(leading=(), gain=(10.0, 10.0), rugged=True, thrifty=True)
 
 
 def gauss_newton(
@@ -99,12 +105,11 @@ def gauss_newton(
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
-        if settings.rugged:  # a limp one needs no fine stage with fewer points
-            problem = problem.finer(best.vector)
         ends = []
+        last = min(most, iteration + STEPS[1]) if settings.thrifty else most
         for s in (best, *coarse.rivals(best, starts)):
             fine = Descent(problem, settings, noise, settings.gain[1])
-            fine.converge(s, iteration, most)
+            fine.converge(s, iteration, last)
             ends.append((s, fine.noise))
         best, noise, others = _likeliest(fine, ends)
     except KeyboardInterrupt:
@@ -135,11 +140,14 @@ def refined(problem: Problem, found: Found) -> Found:
         SimulationError: It cannot be simulated there.
     """
     settings = GaussNewtonSettings.of(problem.scene.kind)
-    fine = Descent(problem, settings, found.noise, settings.gain[1])
-    found.best.coarse = True
+    fine, best = Descent(problem, settings, found.noise, settings.gain[1]), found.best
     most = max(1, round((1.0 - COARSE_SHARE) * PER_BATCH * problem.settings.max_iterations))
+    best.coarse = True
+    if settings.thrifty:  # derivatives change little with more points
+        most = min(most, STEPS[2])
+        fine.carry_on(best)
     try:
-        fine.converge(found.best, 0, most)
+        fine.converge(best, 0, most)
     except KeyboardInterrupt:
         return replace(found, problem=problem, interrupted=True)
     return replace(found, problem=problem, noise=fine.noise)
@@ -178,13 +186,15 @@ class Descent:
         least = problem.settings.noise.least_model
         own = {"sensor": COARSE_NOISE, "model": 0.0, "beside": least, "rounds": 1}
         own |= {"patch": 1.0} if problem.captured else {}
-        free = [k for k, name in enumerate(problem.prior.names) if name in settings.leading]
+        leading = settings.leading or {*problem.prior.names} - {"damping"}
+        free = [k for k, name in enumerate(problem.prior.names) if name in leading]
         return cls(problem, settings, problem.first_noise(**own), settings.gain[0], free or None)
 
     def search(self, starts: Sequence[Start], most: int) -> int:
         """Steps of all starts, in a share of so many iterations. Returns their number."""
-        late, iteration = 0, 0
-        while iteration < max(1, round(COARSE_SHARE * most)):
+        late, iteration, own = 0, 0, STEPS[0] if self.settings.thrifty else most
+        own = min(own, max(1, round(COARSE_SHARE * most)))
+        while iteration < own:
             going = [s for s in starts if not s.done]
             if not going or late == PATIENCE:
                 break
@@ -211,7 +221,7 @@ class Descent:
             best.done = False
             self.step([best])
             self.problem.tell("noise", iteration, most, best)
-            if best.done and not self.jump(best):
+            if best.done and not (self.settings.leap and self.settings.leap(self, best)):
                 break
         else:
             self._renew([best])
@@ -226,12 +236,19 @@ class Descent:
         (start.comparison,) = self.problem.compare([start.vector], sketched=True)
         if start.comparison is None and former is not None and not self.settings.leading:
             # where a neighbour cannot be simulated, the old derivatives stay
-            (start.comparison,) = self.problem.compare([start.vector], derivatives=False)
-            if start.comparison is not None:
-                none = np.zeros(len(start.vector))
-                self.problem.inherit_derivatives(start.comparison, former, none, none)
+            start.comparison = former
+            self.carry_on(start)
         if start.comparison is None:
             raise self.problem.nothing_runs()
+
+    def carry_on(self, start: Start) -> None:
+        """Compare a start of a problem with other points in this one, with its derivatives."""
+        former, none = start.comparison, np.zeros(len(start.vector))
+        (start.comparison,) = self.problem.compare([start.vector], derivatives=False)
+        if start.comparison is None or former is None:
+            raise self.problem.nothing_runs()
+        self.problem.inherit_derivatives(start.comparison, former, none, none)
+        start.damping, start.coarse, start.exact, start.renew = DAMPING[0], False, False, False
 
     def covariance(self, start: Start) -> Array:
         """[P, P] of the unknowns, by the curvature at a start."""
@@ -240,7 +257,7 @@ class Descent:
     def apart(self, best: Start, starts: Sequence[Start], least: float) -> list[Start]:
         """Starts that have ended so many deviations or more from the best one, and from each other,
         in an unknown of the object, and are not much less likely."""
-        own, found = self._of_object(), [best]
+        own, found = self.of_object(), [best]
         sd = np.sqrt(np.diag(self.covariance(best)))
         for s in starts:
             near = s.comparison is not None and s.done and s.value - best.value < UNLIKELY
@@ -267,54 +284,31 @@ class Descent:
                 found.append(Start(initial=vector, vector=vector))
         return found
 
-    def jump(self, start: Start) -> bool:
-        """Move a start to a better point some deviations away, each of the object's unknowns in
-        both directions and the others by their conditional means. Returns whether there is one."""
-        problem, own, former = self.problem, np.flatnonzero(self._of_object()), start.comparison
-        if not self.settings.jumps or not len(own):
-            return False
-        covariance = self.covariance(start)
-        places = [
-            problem.prior.clipped(start.vector + far * covariance[k] / np.sqrt(covariance[k, k]))
-            for k in own
-            for jump in self.settings.jumps
-            for far in (-jump, jump)
-        ]
-        assert former is not None
-        # those that are nearest with few points
-        coarse = problem.coarse.compare(places, derivatives=False)
-        rms = [np.inf if c is None else c.rms for c in coarse]
-        places = [places[k] for k in np.argsort(rms, kind="stable")[:TRIED]]
-        compared = problem.compare(places, derivatives=False)
-        values = problem.values(places, compared, self.noise, start)
-        best = int(np.argmin(values))
-        closer = compared[best]
-        if closer is None or start.value - values[best] < self.least:
-            return False
-        problem.inherit_derivatives(closer, former, *np.zeros((2, len(start.vector))))
-        start.iterations += 1
-        start.vector, start.comparison, start.value = places[best], closer, values[best]
-        start.done, start.renew, start.damping = False, True, DAMPING[0]
-        return True
-
     def step(self, going: Sequence[Start]) -> None:
         """Proposals of every start, in one batch, of which it takes the best; a start is done where
         it can gain no more than the least. Derivatives are computed again where steps gain less
         than half of what they predict, before a start is given up, and at the end."""
-        problem, rugged = self.problem, self.settings.rugged
+        problem, rugged, thrifty = self.problem, self.settings.rugged, self.settings.thrifty
         self._renew([s for s in going if s.comparison is None or s.renew])
+        if thrifty:
+            self._renew([s for s in going if not (s.done or s.exact) and self._idle(s)])
+            for s in going:
+                s.done = s.done or (s.exact and self._idle(s))
         going = [s for s in going if not s.done]
         if not going:
             return
         proposed = [self.propose(s) for s in going]
-        places = [[vector for vector, _, _ in tries] for tries, _ in proposed]
-        tried = iter(problem.compare([v for row in places for v in row], derivatives=False))
-        for s, vectors, (tries, weight) in zip(going, places, proposed, strict=True):
+        tries, once = [found for found, _ in proposed], AT_ONCE if thrifty else None
+        tried = self._tried(going, [found[:once] for found in tries])
+        for k, s in enumerate(going):
+            # others where these win little by derivatives of its own
+            if thrifty and s.exact and s.value - min(tried[k][1]) < self.least:
+                ((compared, values),) = self._tried([s], [tries[k][once:]])
+                tried[k] = tried[k][0] + compared, tried[k][1] + values
+        for s, (tries, weight), (compared, values) in zip(going, proposed, tried, strict=True):
             former = s.comparison
             assert former is not None
             s.iterations += 1
-            compared = [next(tried) for _ in vectors]
-            values = problem.values(vectors, compared, self.noise, s)
             best = int(np.argmin(values))
             (vector, gain, damping), closer = tries[best], compared[best]
             if closer is not None and values[best] < s.value:
@@ -332,6 +326,21 @@ class Descent:
                 s.done = tries[0][1] < self.least or s.damping > DAMPING[1]
             else:
                 s.renew = True
+
+    def _idle(self, start: Start) -> bool:
+        """Whether no step promises as much as the least gain."""
+        return max(gain for _, gain, _ in self.propose(start)[0]) < self.least
+
+    def _tried(
+        self, going: Sequence[Start], tries: Sequence[Sequence[tuple[Array, float, float]]]
+    ) -> list[tuple[list[Comparisons | None], list[float]]]:
+        """Comparisons and values of each start's tries, simulated in one batch."""
+        places, rows = [[vector for vector, _, _ in row] for row in tries], []
+        found = iter(self.problem.compare([v for row in places for v in row], derivatives=False))
+        for s, vectors in zip(going, places, strict=True):
+            compared = [next(found) for _ in vectors]
+            rows.append((compared, self.problem.values(vectors, compared, self.noise, s)))
+        return rows
 
     def _renew(self, starts: Sequence[Start]) -> None:
         """Compute the derivatives of starts; one that cannot be simulated is done."""
@@ -362,13 +371,13 @@ class Descent:
         low, high = start.vector <= prior.low, start.vector >= prior.high
         free = np.isin(np.arange(len(low)), range(len(low)) if self.free is None else self.free)
         free &= ~((low & (gradient > 0)) | (high & (gradient < 0)))
-        own = free & self._of_object()
+        own = free & self.of_object()
         tries = [(free, start.damping, 1.0)]
         if self.settings.rugged:
             # points that slide along a surface make Gauss-Newton steps too short
-            tries.append((free, start.damping, 3.0))
-            if own.any() and (own != free).any():
-                tries += [(own, start.damping, 1.0), (own, start.damping, 3.0)]
+            both = own.any() and (own != free).any()
+            ways = (free, own) if both else (free,)
+            tries = [(way, start.damping, times) for times in (1.0, 3.0) for way in ways]
             tries.append((free, DAMPING_RATIO * start.damping, 1.0))
         proposals = []
         for which, damping, times in tries:
@@ -391,6 +400,6 @@ class Descent:
             proposals.append((vector, float(-2.0 * gradient @ step - step @ H @ step), damping))
         return proposals, np.diag(H).copy()
 
-    def _of_object(self) -> Array:
+    def of_object(self) -> Array:
         """[P] which unknowns are the object's own."""
         return np.array([u.material for u in self.problem.prior.unknowns], dtype=bool)
