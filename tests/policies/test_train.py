@@ -185,6 +185,17 @@ def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
     assert blind.act((), item).action["A"] >= 0.5
 
 
+def test_what_is_likely_enough_in_both_worlds_is_chosen(tmp_path):
+    """In the other world only a small A is enough, whatever the stiffness."""
+    settings = Training(epochs=25, method="chance")
+    known = tries(100, seed=3)
+    other = replace(known, risk=np.where(known.action[:, 0] < 0.42, 0.1, 0.6))
+    policy = train(tries(2000), tmp_path / "both.onnx", settings, finetune=other)
+    E = np.linspace(0.095, 0.14, 40)
+    A = policy.actions(np.empty((40, 0)), {"bending_ratio": E})[:, 0]
+    assert np.mean((A > needed(E)) & (A < 0.42)) > 0.9
+
+
 def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing(distal, tmp_path):
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)

@@ -26,10 +26,11 @@ of a release make one distance, so a whole curve of releases reaches each goal, 
 bends its mean lies beside it. No amount of data takes that error away.
 
 `chance` is for tasks without goals, like cloth spreading, where an action is enough or is not: it
-fits the probability that an action is enough to all that were tried, those that failed, too. What
-an action of a crumpled cloth leads to is chance: the smallest disturbance decides. The policy then
-takes the action that asks least of those that are enough with nearly the best probability, for all
-objects that may be the one at hand.
+fits the probability that an action is enough to all that were tried, those that failed, too; those
+for fine-tuning, of another world, count together as much as all others. What an action of a
+crumpled cloth leads to is chance: the smallest disturbance decides. The policy then takes the
+action that asks least of those that are enough with nearly the best probability, for all objects
+that may be the one at hand.
 """
 
 from __future__ import annotations
@@ -166,10 +167,11 @@ def chance(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     enough = problem.within.float()[:, None]
 
     def loss(rows: Tensor) -> Tensor:
-        return nn.functional.binary_cross_entropy(problem.act(rows), enough[rows])
+        worlds = [own for own in (rows, problem.tuned) if len(own)]
+        lacks = [nn.functional.binary_cross_entropy(problem.act(w), enough[w]) for w in worlds]
+        return torch.stack(lacks).mean()
 
     problem.fit("policy", problem.policy, loss)
-    problem.fit("policy", problem.policy, loss, replay=0)
     with torch.no_grad():
         rows = problem.held_out
         wrong = (problem.act(rows) > 0.5) != (enough[rows] > 0.5)

@@ -1,8 +1,7 @@
 """Cloth dragging: a cloth that hangs from one hand is laid down and dragged to and fro, until it
 lies spread.
 
-One hand can spread cloths that are too limp for `cloth_spreading`: friction opens them while the
-hand pulls.
+One hand can so spread cloths that are too limp for `cloth_spreading`: friction opens them.
 """
 
 from __future__ import annotations
@@ -53,7 +52,6 @@ NAMES = (
     "hold",
     *(f"{n}{k}" for k in range(1, WAYPOINTS + 1) for n in "xyzt" if f"{n}{k}" != f"z{WAYPOINTS}"),
 )
-
 
 MOTIONS = (
     (0.4566, -0.0909, 0.0792, 0.2775, 1.9859, -0.509, 0.205, 1.1728, 1.7367, 0.4068,
