@@ -108,7 +108,8 @@ def sbc(found: Any) -> dict[str, Any]:
 def npe(found: Any) -> dict[str, Any]:
     """Rows by unknown and by who answers, and what it took."""
     read: dict[str, Any] = {"took": found["took"], "lifts": found["lifts"]}
-    read["simulations"] = found["simulations"]
+    learning = found["took"]["learning"]
+    read["took"]["learning"] = {f"{n} lifts": seconds for n, seconds in learning.items()}
     for row, own in found["rows"].items():
         name, who = row.split(", ")
         read.setdefault(name, {})[who] = {n.split()[-1]: value for n, value in own.items()}
@@ -142,11 +143,12 @@ def elastica(found: Any) -> dict[str, Any]:
 
 
 def cables(rows: Any) -> dict[str, Any]:
-    by_name: dict[str, list[float]] = {"every": [], "eval": []}
+    """Least and largest error by cable, and of DEFORM's evaluation."""
+    by_name: dict[str, list[float]] = {}
     for row in rows:
-        for name in by_name:
-            if name == "every" or "eval" in row["to"]:
-                by_name[name].append(1e3 * row["error"])
+        name = row["to"].split("_")[1]
+        for own in (name, *([f"{name}, eval"] if "eval" in row["to"] else [])):
+            by_name.setdefault(own, []).append(1e3 * row["error"])
     return {name: [min(e), max(e)] for name, e in by_name.items()}
 
 
@@ -301,12 +303,16 @@ FIGURES = (
     covered("rope", "--lifts 45 --seed 200 --measured"),
     covered("wide", "--wide --lifts 45 --measured"),
     covered("cloth", "--kind cloth --lifts 15"),
+    *(
+        covered(unlike, f"--lifts 16 --seed 200 --unlike {unlike}")
+        for unlike in ("soft-5", "soft-10", "soft-20", "tip-5", "tip-15", "thick", "thin", "2-hz")
+    ),
     Figure(
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),
     ),
     experiment("sbc", "sbc --lifts 100 --seed 100", sbc),
-    experiment("npe", "npe --scale full --lifts 60 --device cuda", npe, "cuda"),
+    experiment("npe", "npe --scale full --lifts 60 --jobs 30 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),
     experiment("verdict-thin", "verdict --kind thin --lifts 1 --seed 2000", verdicts),
@@ -315,9 +321,10 @@ FIGURES = (
     REAL("rope-red", "gendom estimate rope_red_lift.npz --starts 1 --seed 0", rope),
     REAL(
         "cables",
-        "python benchmarks/cables.py cable_dlo3_train_001.npz cable_dlo3_train_002.npz "
-        "cable_dlo3_train_006.npz cable_dlo3_train_011.npz cable_dlo3_eval_004.npz "
-        "cable_dlo3_eval_010.npz",
+        "python benchmarks/cables.py cable_dlo1_train_048.npz cable_dlo1_eval_054.npz "
+        "cable_dlo3_train_001.npz cable_dlo3_train_002.npz cable_dlo3_train_006.npz "
+        "cable_dlo3_train_011.npz cable_dlo3_eval_004.npz cable_dlo3_eval_010.npz "
+        "cable_dlo4_train_001.npz cable_dlo4_eval_035.npz",
         cables,
     ),
     Figure("wire", f"gendom estimate {WIRE}", wire),

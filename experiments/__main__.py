@@ -44,6 +44,9 @@ TABLES = {
     "errors of the camera's pose; a third of a second a set",
 }
 
+UNLIKE = ("soft-5", "soft-10", "soft-20", "tip-5", "tip-15", "thick", "thin", "2-hz")
+"""Of lifts, see `experiments.lifts`."""
+
 FIRST_REPORTED = 1000
 """Seed of the first lift whose interval is reported: those below are for calibrations."""
 
@@ -115,6 +118,12 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="of coverage: also with sizes, mass and clamp that are wrong as people measure "
         "(1 mm, thickness 3 %%, mass 1 %%)",
+    )
+    add(
+        "--unlike",
+        choices=UNLIKE,
+        help="of coverage: ropes that turn in soft fingers by 5 to 20 degrees, have 5 or 15 %% of "
+        "their mass at the tip, a diameter that is stated 5 %% off, or two frames a second",
     )
     add(
         "--given",

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from experiments.runs import Runs
 from gendom.datasets import Recording
@@ -14,7 +18,7 @@ from gendom.estimation import UNKNOWNS, EstimateSettings, SceneSettings
 from gendom.estimation.lift_plan import CLOUD_POINTS
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import E_over_rho_of, bending_length
-from gendom.reality import RealCloth, RealObject, RealRope
+from gendom.reality import RealCloth, RealObject, RealRope, TrialRun
 from gendom.reality.model import CLOTH_STEP
 from gendom.reality.objects import vertices_of
 from gendom.robot import predefined_lift
@@ -25,6 +29,9 @@ LEVEL = 0.9
 RULER, CALIPER, SCALE = 0.001, 0.03, 0.01
 """Standard deviations of what people measure: lengths and places of the clamp [m], thickness and
 mass [-]."""
+
+PADS = 0.02
+"""Time in which soft fingers give way [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +44,13 @@ class Lifts:
     """How lifts end, one of `gendom.robot.LIFT_ENDS`."""
     wide: bool = False
     """Whether objects are drawn by `draw_widely`."""
+    unlike: str = ""
+    """What is otherwise than estimates are told: a key of `HELD` or `TOLD`."""
 
     @classmethod
     def of(cls, flags: argparse.Namespace) -> Lifts:
-        return cls(kind=flags.kind, end=flags.end, wide=flags.wide or flags.kind == "thin")
+        wide = flags.wide or flags.kind == "thin"
+        return cls(kind=flags.kind, end=flags.end, wide=wide, unlike=flags.unlike or "")
 
     @property
     def drawn(self) -> str:
@@ -50,7 +60,8 @@ class Lifts:
     @property
     def name(self) -> str:
         """Part of the names of files."""
-        return self.drawn if self.end == "hold" else f"{self.drawn}-{self.end}"
+        plain = self.drawn if self.end == "hold" else f"{self.drawn}-{self.end}"
+        return f"{plain}-{self.unlike}" if self.unlike else plain
 
     def object(self, seed: int) -> RealObject:
         """The random object of a seed."""
@@ -59,9 +70,12 @@ class Lifts:
     def recorded(self, runs: Runs, seed: int) -> Recording:
         """The lift of a random object, of twice as many points a frame as estimates compare."""
         kind = "rope" if self.kind == "thin" else self.kind
-        own, label = replace(runs, seed=seed), f"{self.name}-{seed:04d}"
+        lifted = self if self.unlike in HELD else replace(self, unlike="")
+        own, label = replace(runs, seed=seed), f"{lifted.name}-{seed:04d}"
         motion = predefined_lift(kind, self.end)
-        return own.recorded(label, self.object(seed), motion, CLOUD_POINTS[kind])
+        prepare = HELD.get(self.unlike, lambda _: None)
+        recording = own.recorded(label, self.object(seed), motion, CLOUD_POINTS[kind], prepare)
+        return TOLD.get(self.unlike, lambda r: r)(recording)
 
 
 def estimate_settings(seed: int) -> EstimateSettings:
@@ -84,6 +98,88 @@ def measured(recording: Recording, seed: int) -> Recording:
         if (own := getattr(stated, name)) is not None:
             changes[name] = own * factor
     return replace(recording, object=replace(stated, **changes))
+
+
+def soften(run: TrialRun, degrees: float) -> None:
+    """Let a rope turn in the fingers by its bending moment there: by so much under the moment with
+    which its other end leaves the table, that of a stick or, if that is less, of a chain."""
+    world, rope = run.world, run.world.item
+    assert isinstance(rope, RealRope)
+    EI = rope.material.E * math.pi * rope.diameter**4 / 64.0
+    weight = STANDARD_GRAVITY * rope.mass / rope.length  # by length
+    most = min(0.5 * weight * rope.length**2, math.sqrt(2.0 * EI * weight * rope.length))
+    control, turn, first = world.robot.control, np.zeros(3), {}
+
+    def yielding(data: Any, time: float) -> None:
+        control(data, time)
+        held = world.held
+        if len(held) < 2:
+            return
+        edges = np.diff(world.vertices()[held[-1] - 1 : held[-1] + 2], axis=0)
+        a, b = edges / np.linalg.norm(edges, axis=1)[:, None]
+        moment = 2.0 * EI / rope.spacing * np.cross(a, b) / (1.0 + a @ b)
+        turn[:] += (moment / most * math.radians(degrees) - turn) * world.model.opt.timestep / PADS
+        R = data.body("hand").xmat.reshape(3, 3)
+        for v in held:
+            anchor = world.model.equality(f"hand_{v}").data[3:6]
+            own = first.setdefault(v, anchor.copy())
+            anchor[:] = R.T @ Rotation.from_rotvec(turn).as_matrix() @ R @ own
+
+    world.robot.control = yielding
+
+
+def weigh_tip(run: TrialRun, share: float) -> None:
+    """Put so much of the rope's mass to its free end."""
+    model = run.world.model
+    model.body_mass[model.flex_vertbodyid] *= 1.0 - share
+    model.body_mass[model.flex_vertbodyid[-1]] += share * run.world.item.mass
+
+
+def slowed(recording: Recording, rate: float) -> Recording:
+    """With so many frames a second."""
+    wanted = np.arange(recording.time[0], recording.time[-1] + 1e-9, 1.0 / rate)
+    at = np.unique([int(np.abs(recording.time - t).argmin()) for t in wanted])
+    names = ("time", "gripper_position", "gripper_axis", "gripper_closed")
+    every = {name: getattr(recording, name) for name in names}
+    counts, own = np.diff(recording.offsets), np.isin(np.arange(recording.num_frames), at)
+    shown, by = np.repeat(own, counts), recording.seen_by
+    return replace(
+        recording,
+        points=recording.points[shown],
+        offsets=np.cumsum([0, *counts[own]]),
+        seen_by=None if by is None else by[shown],
+        **{name: array[at] for name, array in every.items() if array is not None},
+    )
+
+
+def _thicker(recording: Recording, factor: float) -> Recording:
+    diameter = factor * (recording.object.diameter or 0.0)
+    return replace(recording, object=replace(recording.object, diameter=diameter))
+
+
+def _hand_alone(recording: Recording) -> Recording:
+    """With the hand's axis at first throughout: what a robot knows while a rope turns in it."""
+    axis = recording.gripper_axis
+    axis = None if axis is None else np.repeat(axis[:1], len(axis), axis=0)
+    return replace(recording, gripper_axis=axis)
+
+
+SOFT = {f"soft-{degrees}": degrees for degrees in (5, 10, 20)}
+
+HELD: dict[str, Callable[[TrialRun], None]] = {
+    **{name: partial(soften, degrees=degrees) for name, degrees in SOFT.items()},
+    **{f"tip-{percent}": partial(weigh_tip, share=percent / 100.0) for percent in (5, 15)},
+}
+"""Ropes that turn in the fingers by degrees, or have some percent of their mass at the free end."""
+
+TOLD: dict[str, Callable[[Recording], Recording]] = {
+    **dict.fromkeys(SOFT, _hand_alone),
+    "thick": partial(_thicker, factor=1.05),
+    "thin": partial(_thicker, factor=1.0 / 1.05),
+    "2-hz": partial(slowed, rate=2.0),
+}
+"""Recordings with a diameter that is stated 5 % too large or too small, or of two frames a second.
+"""
 
 
 def draw_object(kind: str, seed: int) -> RealObject:

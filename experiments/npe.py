@@ -2,15 +2,18 @@
 
 Neural posterior estimation of the library `sbi` (Greenberg et al. 2019; Boelts et al. 2024): a
 network sees the clouds of a lift and states the distribution of the transformed unknowns, a masked
-autoregressive flow. It learns from lifts whose unknowns are drawn from the estimator's priors;
-then both are asked about lifts that it has not seen. It knows one rope and one motion; the
-estimator any.
+autoregressive flow. It learns from lifts whose unknowns are drawn from the estimator's priors,
+from few and from many; then all are asked about lifts that none has seen. Networks know one rope
+and one motion; the estimator any. Lifts and answers are kept.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import time
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,105 +32,179 @@ from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import estimate
 from gendom.estimation.lift_plan import ObjectClass
+from gendom.files import atomic_path
 from gendom.materials.posterior import half_width
 
 Array = NDArray[np.floating]
 
 ROPE = ObjectClass(kind="rope", size=(0.3, 0.3), thickness=(0.014, 0.014)).at(0.5)
 
-SIMULATIONS = {"small": 256, "full": 8192}
-"""Lifts to learn from."""
+SIMULATIONS = {"small": (256,), "full": (512, 2048, 8192)}
+"""Lifts to learn from, each the first of the next."""
 
-BATCH = 32
-"""Lifts that are simulated together, from one seed."""
+BATCH = 64
+"""Lifts that are simulated together."""
+
+TRAININGS = 3
+"""Of each number of lifts, from as many seeds."""
+
+STEPS, PATIENCE, LESSON = 4500, 500, 64
+"""Most steps of the optimiser, those without gain on a tenth of the lifts that is kept back after
+which it ends (at least 20 passes over the lifts), and lifts of a step."""
 
 FRAMES, POINTS, WIDTH, DRAWS = 12, 96, 128, 2000
 """Of a lift that the network sees, points of each, its size, draws from its posteriors."""
 
-TARGETS = ("E_over_rho", "friction", "damping", "nu")
-"""Unknowns whose posterior it states; others are drawn, too."""
+TARGETS = ("bending_length", "friction", "damping", "nu")
+"""Unknowns whose posterior it states, the first by its logarithm; others are drawn, too."""
 
 COLUMNS = ("median error", "90 % below", "half width", "covered")
 
+TAILS = (0.5, 0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0)
+
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
-    """A row for each unknown of the network's and the estimator's answers."""
-    asked = range(900_000, 900_000 + flags.lifts)
-    ours = [row for row in runs.each(estimated, asked, "estimates") if row]
-    count, times = SIMULATIONS[flags.scale], [time.perf_counter()]
-    seeds = range(runs.seed, runs.seed + -(-count // BATCH))
-    made = list(runs.each(simulated, seeds, "lifts"))
-    X, Y = (np.concatenate([m[k] for m in made]) for k in ("X", "Y"))
-    times.append(time.perf_counter())
-    posterior = trained(X, Y, runs.device, runs.seed)
-    times.append(time.perf_counter())
-    draws = answered(posterior, np.stack([row["X"] for row in ours]), runs.device)
-    times.append(time.perf_counter())
-    median = float(np.median([row["seconds"] for row in ours]))
-    names = ("simulating", "learning", "answers", "an_estimate")
-    took = dict(zip(names, [*np.diff(times).tolist(), median], strict=True))
-    rows = compared(ours, draws)
-    texts = {name: tuple(f"{v:.4f}" for v in row.values()) for name, row in rows.items()}
-    cost = ", ".join(f"{name.replace('_', ' ')} {value:.3g} s" for name, value in took.items())
+    """A row for each unknown of the estimator's answers, and of networks by numbers of lifts."""
+    counts, most, seeds = SIMULATIONS[flags.scale], flags.lifts, range(TRAININGS)
+    jobs: list[partial[Any]] = [partial(estimated, runs, k) for k in range(most)]
+    for n, fewer in zip(counts, (0, *counts), strict=False):
+        # each training begins as soon as its lifts are there
+        jobs += [partial(simulated, runs, k) for k in batches(n) if k not in batches(fewer)]
+        jobs += [partial(learned, runs, most, n, k) for k in seeds]
+    for _ in runs.each(_call, jobs, "lifts and trainings"):
+        pass
+    ours, simulating = _usable(runs, most), [simulated(runs, k) for k in batches(counts[-1])]
+    networks = {(n, k): learned(runs, most, n, k) for n in counts for k in seeds}
+    truth, mean, sd = (np.array([row[k] for row in ours]) for k in ("truth", "mean", "sd"))
+    ends = mean + half_width(LEVEL) * sd * np.array([0.0, -1.0, 1.0])[:, None, None]
+    rows = {f"{name}, estimator": row for name, row in compared(truth, ends).items()}
+    for n in counts:
+        each = [compared(truth, np.array(networks[n, k]["ends"])) for k in seeds]
+        for name in TARGETS:
+            middle = {c: float(np.median([one[name][c] for one in each])) for c in COLUMNS}
+            rows[f"{name}, {n} lifts"] = middle
+    order = sorted(rows, key=lambda row: TARGETS.index(row.partition(",")[0]))
+    took = {
+        "simulating_a_lift": sum(simulating) / (BATCH * len(simulating)),
+        "learning": {n: networks[n, 0]["seconds"] for n in counts},
+        "an_estimate": float(np.median([row["seconds"] for row in ours])),
+    }
+    texts = {name: tuple(f"{v:.4f}" for v in rows[name].values()) for name in order}
+    learning = ", ".join(f"{s:.3g} s of {n}" for n, s in took["learning"].items())
     return Result(
         name="npe",
-        figures={"rows": rows, "took": took, "simulations": len(X), "lifts": len(ours)},
+        figures={"rows": rows, "took": took, "lifts": len(ours), "trainings": TRAININGS},
         shown=[Table(title=f"{len(ours)} lifts, in transformed units", head=COLUMNS, rows=texts)],
-        notes=[f"{len(X)} lifts to learn from; {cost}"],
+        notes=[
+            f"{took['simulating_a_lift']:.2g} CPU s a simulated lift; learning {learning}; "
+            f"an estimate {took['an_estimate']:.2g} CPU s"
+        ],
     )
 
 
-def compared(ours: list[dict[str, Any]], draws: Array) -> dict[str, dict[str, float]]:
-    """`COLUMNS` of estimates, and of draws [N, DRAWS, targets] of the network."""
-    truth, mean, sd = (np.array([row[k] for row in ours]) for k in ("truth", "mean", "sd"))
-    tails, rows = (1.0 - LEVEL) / 2.0, {}
-    ends = {
-        "estimator": mean + half_width(LEVEL) * sd * np.array([0.0, -1.0, 1.0])[:, None, None],
-        "network": np.quantile(draws, (0.5, tails, 1.0 - tails), axis=1),
-    }
-    for who, (middle, low, high) in ends.items():
-        off, inside = np.abs(middle - truth), (low <= truth) & (truth <= high)
-        half = np.median(high - low, axis=0) / 2.0
-        found = np.median(off, axis=0), np.quantile(off, 0.9, axis=0), half, inside.mean(axis=0)
-        for name, values in zip(TARGETS, np.transpose(found).tolist(), strict=True):
-            rows[f"{name}, {who}"] = dict(zip(COLUMNS, values, strict=True))
-    return rows
+def compared(truth: Array, ends: Array) -> dict[str, dict[str, float]]:
+    """`COLUMNS` by unknown: truths [N, targets], the `TAILS` [3, N, targets] of posteriors."""
+    middle, low, high = ends
+    off, inside = np.abs(middle - truth), (low <= truth) & (truth <= high)
+    half = np.median(high - low, axis=0) / 2.0
+    found = np.median(off, axis=0), np.quantile(off, 0.9, axis=0), half, inside.mean(axis=0)
+    by_name = zip(TARGETS, np.transpose(found).tolist(), strict=True)
+    return {name: dict(zip(COLUMNS, values, strict=True)) for name, values in by_name}
 
 
-def simulated(seed: int) -> dict[str, Array]:
-    """What the network sees of a batch of lifts, and their truths [B, targets], transformed."""
-    rng = np.random.default_rng([91, seed])
-    lifts = drawn_lifts(ROPE, "hold", rng, BATCH, frames=FRAMES)
-    return {
-        "X": np.array([_seen(recording) for recording, _, _ in lifts]),
-        "Y": np.array([[v[n] for n in TARGETS] for _, _, v in lifts]),
-    }
+def _call(job: partial[Any]) -> None:
+    job()
+
+
+def batches(n: int) -> range:
+    """Numbers of the batches that hold so many lifts."""
+    return range(-(-n // BATCH))
+
+
+def simulated(runs: Runs, batch: int) -> float:
+    """Keep what the network sees of a batch of lifts, and their truths [B, targets], transformed;
+    CPU seconds that it took."""
+    path = _kept(runs, batch)
+    if not path.exists():
+        began, rng = time.process_time(), np.random.default_rng([91, runs.seed, batch])
+        lifts = drawn_lifts(ROPE, "hold", rng, BATCH, frames=FRAMES)
+        X = np.array([_seen(recording) for recording, _, _ in lifts], dtype=np.float32)
+        Y = np.array([_truth(truth, drawn) for _, truth, drawn in lifts])
+        with atomic_path(path) as temporary:
+            np.savez(temporary, X=X, Y=Y, seconds=time.process_time() - began)
+    with np.load(path) as found:
+        return float(found["seconds"])
+
+
+def _kept(runs: Runs, batch: int) -> Path:
+    return runs.folder / f"lifts-{batch:06d}.npz"
 
 
 def _seen(recording: Recording) -> Array:
     return seen(recording, evenly(np.flatnonzero(recording.frame_valid), FRAMES), POINTS)
 
 
-def estimated(seed: int) -> dict[str, Any] | None:
+def _truth(truth: dict[str, float], drawn: dict[str, float]) -> list[float]:
+    return [drawn[name] if name in drawn else math.log(truth[name]) for name in TARGETS]
+
+
+def estimated(runs: Runs, k: int) -> dict[str, Any]:
     """A lift that the network has not seen, and the estimator's answer."""
+    return runs.kept(f"npe-estimate-{k}", partial(_estimated, runs.seed, k))
+
+
+def _estimated(seed: int, k: int) -> dict[str, Any]:
+    rng = np.random.default_rng([91, seed, 0, k])
+    ((recording, *truth),) = drawn_lifts(ROPE, "hold", rng, 1)
+    began = time.process_time()
     try:
-        ((recording, _, drawn),) = drawn_lifts(ROPE, "hold", np.random.default_rng([91, seed]), 1)
-        began = time.perf_counter()
-        found = estimate(recording, estimate_settings(seed))
-    except (GendomError, ValueError):  # of one that cannot be simulated there is none
-        return None
+        found = estimate(recording, estimate_settings(k))
+    except GendomError as error:
+        return {"usable": False, "reasons": [str(error)]}
     if not found.usable:
-        return None
-    p, seconds = found.posterior, time.perf_counter() - began
-    at, truth = [p.names.index(name) for name in TARGETS], [drawn[name] for name in TARGETS]
-    sd = np.sqrt(np.diag(p.covariance))[at]
-    return {
-        "X": _seen(recording),
-        "truth": truth,
-        "mean": p.mean[at],
-        "sd": sd,
-        "seconds": seconds,
-    }
+        return {"usable": False, "reasons": found.verdict.reasons}
+    seconds, p, z = time.process_time() - began, found.posterior, half_width(LEVEL)
+    mean, sd = [], []
+    for name in TARGETS:
+        if name in p.names:
+            at = p.names.index(name)
+            mean.append(p.mean[at])
+            sd.append(math.sqrt(p.covariance[at, at]))
+        else:
+            low, high = np.log(found.record["intervals"][name])
+            mean.append(math.log(found.record[name]))
+            sd.append((high - low) / (2.0 * z))
+    truth = _truth(*truth)
+    X = _seen(recording)
+    return {"usable": True, "X": X, "truth": truth, "mean": mean, "sd": sd, "seconds": seconds}
+
+
+def _usable(runs: Runs, most: int) -> list[dict[str, Any]]:
+    return [row for k in range(most) if (row := estimated(runs, k))["usable"]]
+
+
+def learned(runs: Runs, most: int, n: int, k: int) -> dict[str, Any]:
+    """What a network of n lifts says of the others, and seconds that it learned; it waits for lifts
+    that other processes simulate."""
+    return runs.kept(f"npe-{n}-{k}", partial(_learned, runs, most, n, k))
+
+
+def _learned(runs: Runs, most: int, n: int, k: int) -> dict[str, Any]:
+    wanted = [_kept(runs, batch) for batch in batches(n)]
+    wanted += [runs.folder / f"npe-estimate-{lift}.json" for lift in range(most)]
+    while not all(path.exists() for path in wanted):
+        time.sleep(0.2)
+    read = []
+    for path in wanted[: len(batches(n))]:
+        with np.load(path) as found:
+            read.append((found["X"], found["Y"]))
+    X, Y = (np.concatenate(each)[:n] for each in zip(*read, strict=True))
+    shown = np.stack([row["X"] for row in _usable(runs, most)])
+    began = time.perf_counter()
+    posterior = trained(X, Y, runs.device, runs.seed + k)
+    seconds = time.perf_counter() - began
+    draws = answered(posterior, shown, runs.device)
+    return {"lifts": len(X), "seconds": seconds, "ends": np.quantile(draws, TAILS, axis=1)}
 
 
 class Clouds(nn.Module):
@@ -152,7 +229,10 @@ def trained(X: Array, Y: Array, device: str, seed: int) -> Any:
     build = posterior_nn("maf", z_score_x="none", embedding_net=Clouds())
     silent = SimpleNamespace(log_metric=lambda *_, **__: None, flush=lambda: None)
     inference = NPE(None, build, device, tracker=silent, show_progress_bars=False)
-    inference.append_simulations(y, x).train()
+    most, patience = (-(-steps * LESSON // len(X)) for steps in (STEPS, PATIENCE))
+    inference.append_simulations(y, x).train(
+        training_batch_size=LESSON, stop_after_epochs=max(20, patience), max_num_epochs=most
+    )
     return inference.build_posterior()
 
 

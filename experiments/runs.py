@@ -42,7 +42,7 @@ from gendom.tasks.world import Simulation
 
 if TYPE_CHECKING:
     from gendom.policies.fitting import Training
-    from gendom.reality import RealObject
+    from gendom.reality import RealObject, TrialRun
 
 _log = logging.getLogger(__name__)
 
@@ -177,7 +177,12 @@ class Runs:
         return {name: found[name] or Policy.read(paths[name]) for name in jobs}
 
     def recorded(
-        self, label: str, item: RealObject, motion: LiftMotion, most: int | None = None
+        self,
+        label: str,
+        item: RealObject,
+        motion: LiftMotion,
+        most: int | None = None,
+        prepare: Callable[[TrialRun], None] = lambda _: None,
     ) -> Recording:
         """A lift before two noisy cameras, recorded unless it is there.
 
@@ -186,6 +191,7 @@ class Runs:
             item: What is lifted.
             motion: How.
             most: Points of a frame that are kept; None: all.
+            prepare: Changes the trial before it begins.
 
         Raises:
             DeviceError: The second reality cannot be simulated or rendered here.
@@ -199,6 +205,7 @@ class Runs:
             rate = LIFT_FRAME_RATE[motion.end]
             with TemporaryDirectory(dir=self.folder) as pictures:
                 run = TrialRun(lift(item, motion), cameras=lift_cameras(item))
+                prepare(run)
                 run.step_to(run.closes)
                 with run.world:
                     record(run, pictures, frame_rate=rate, seed=self.seed)

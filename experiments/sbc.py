@@ -157,13 +157,16 @@ def drawn_lifts(
     prior, base = scene.prior(also=("thickness",))
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
-    # as finely as an estimate of it will be simulated; ropes as the limpest one needs
-    noise = settings.noise.sensor
-    limpest = min(thetas, key=lambda t: scene.bending_length(t.E_over_rho, t.thickness))
-    if item.kind == "rope":
-        shown = imagined(scene.finer(limpest), thetas, noise, rng)
-    else:
-        shown = [imagined(scene.finer(theta), [theta], noise, rng)[0] for theta in thetas]
+    # as finely as an estimate of it will be simulated, those of as many points side by side
+    noise, finer = settings.noise.sensor, [scene.finer(theta) for theta in thetas]
+    points = [len(one.initial) for one in finer]
+    shown: list[Recording | None] = [None] * count
+    for n in sorted(set(points)):
+        own = [k for k in range(count) if points[k] == n]
+        made = imagined(finer[own[0]], [thetas[k] for k in own], noise, rng)
+        for k, recording in zip(own, made, strict=True):
+            shown[k] = recording
+    if item.kind == "cloth":
         both = zip(shown, thetas, strict=True)
         shown = [r and turned(r, scene.frames[0], theta["yaw"]) for r, theta in both]
     found = []

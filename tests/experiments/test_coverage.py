@@ -15,7 +15,7 @@ from scipy.stats import norm
 from experiments.__main__ import FIRST_REPORTED
 from experiments.calibration import FAULTS
 from experiments.coverage import check_unseen, covered, estimated_of, rank_band, shown_of
-from experiments.lifts import Lifts
+from experiments.lifts import HELD, TOLD, Lifts, draw_object
 from experiments.sbc import uniformity
 from experiments.verdict import CORRUPTED, GOOD, confusion
 from gendom.errors import GendomError
@@ -136,6 +136,38 @@ def test_recordings_of_others_are_read_with_their_truths(rope_lift, tmp_path, ta
     assert "has no NAME.npz with a NAME.json" in error
 
 
+@pytest.mark.skipif(not find_spec("mujoco"), reason="needs the extra `reality`")
+def test_ropes_turn_in_soft_fingers_and_have_heavy_tips():
+    reality = import_module("gendom.reality")
+    run = reality.TrialRun(reality.lift(draw_object("rope", 200)))
+    masses, at = run.world.model.body_mass, run.world.model.flex_vertbodyid
+    before = masses[at].copy()
+    HELD["tip-15"](run)
+    assert masses[at].sum() == pytest.approx(before.sum())
+    assert masses[at[-1]] == pytest.approx(0.85 * before[-1] + 0.15 * before.sum())
+    HELD["soft-20"](run)
+    edges = []
+    for seconds in (0.0, 1.0):
+        run.step_to(run.closes + seconds)
+        edges.append(run.world.vertices()[1] - run.world.vertices()[0])
+    cosine = edges[0] @ edges[1] / np.prod(np.linalg.norm(edges, axis=1))
+    assert 0.5 < math.degrees(math.acos(cosine)) < 20.0  # it stays as it is in hard ones
+    assert edges[1][2] < edges[0][2]
+
+
+def test_recordings_are_told_otherwise(rope_lift):
+    recording = rope_lift.seen()
+    slow = TOLD["2-hz"](recording)
+    wanted = recording.time[0] + 0.5 * np.arange(len(slow.time))
+    assert np.abs(slow.time - wanted).max() <= 0.5 * np.diff(recording.time).max() + 1e-9
+    assert slow.time[-1] > recording.time[-1] - 0.75
+    at = int(np.abs(recording.time - 0.5).argmin())
+    assert (slow.frame(1) == recording.frame(at)).all()
+    assert (slow.gripper_position[1] == recording.gripper_position[at]).all()
+    ratio = TOLD["thin"](recording).object.diameter / recording.object.diameter
+    assert ratio == pytest.approx(1.0 / 1.05)
+
+
 @pytest.mark.parametrize(
     ("sd", "bias", "right"), [(1.0, 0.0, True), (2.0, 0.0, False), (1.0, 0.6, False)]
 )
@@ -153,7 +185,7 @@ def test_tests_of_ranks_tell_wrong_posteriors(sd, bias, right):
 def test_the_command_makes_the_table(name, tmp_path, table, monkeypatch):
     if name == "npe":
         pytest.importorskip("sbi")
-        monkeypatch.setitem(import_module("experiments.npe").SIMULATIONS, "small", 32)
+        monkeypatch.setitem(import_module("experiments.npe").SIMULATIONS, "small", (32,))
     assert "covered" in table(name, "--lifts", 2, "--seed", 3)
     (path,) = (p for p in tmp_path.glob(f"{name}*.json") if not p.stem[-1].isdigit())
     made = json.loads(path.read_text())
