@@ -370,5 +370,6 @@ FIGURES = (
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),
     dataset("casting", "rope-casting --size 20000 --device cuda", "cuda"),
+    dataset("spreading", "cloth-spreading --size 9600 --device cuda", "cuda"),
     dataset("cpu", "rope-reaching --size 4000"),
 )  # fmt: skip

@@ -42,7 +42,7 @@ estimate lift.npz --engine fem | fem
 estimate lift.npz ./lift.npz | lift.npz: is given twice; name each recording once
 estimate lift.npz longer.npz | longer.npz: length is 0.3, in lift.npz 0.25
 dataset rope-reaching --size 0 --out set | --size: is 0; give 1 or more
-dataset rope-reaching --size 99999999999999 --out set | size: is 99999999999999; give 102400000 at
+dataset rope-reaching --size 99999999999999 --out set | size: is 99999999999999; give 409600000 at
 dataset rope-reaching --size 9 --seed 9223372036854775808 --out set | --seed: is 9223372036854775808
 dataset rope-reaching --size 9 --out= | one of the words is empty; give it a value
 dataset knitting --size 3 --out set | knitting

@@ -25,6 +25,7 @@ from gendom.materials import (
     catalogue,
     dimensionless_parameters,
     from_columns,
+    items_from_columns,
     to_columns,
     unit_of,
     with_dimensionless,
@@ -102,6 +103,13 @@ def test_columns_give_the_object_back(item):
     columns = to_columns(item)
     assert from_columns(item.kind, columns) == item
     assert set(QUANTITIES) <= set(columns)
+    many = {name: x * np.linspace(1.0, 1.05, 5) for name, x in columns.items()}
+    each = [from_columns(item.kind, {n: x[k] for n, x in many.items()}) for k in range(5)]
+    assert items_from_columns(item.kind, many) == each
+    # one that is too thick, though each number of it is that of others that are not
+    many[item.sizes[1]][0], many[item.sizes[0]][3] = 1e-5, 1e-3
+    with pytest.raises(ParameterError, match=f"{item.sizes[0]} 0.001 m is no {item.kind}"):
+        items_from_columns(item.kind, many)
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,14 @@
 """Rope reaching and casting: the hand's motion, its limits, physics, which point counts."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material, Rope
-from gendom.robot import XARM7, follow
+from gendom.robot import XARM7, TcpPaths, follow
 from gendom.tasks import Observed, RopeCasting, RopeReaching
 from gendom.tasks.world import Simulation
 
@@ -132,3 +133,30 @@ def test_a_cast_s_highest_point_is_before_the_hand_that_stands(hand, x, z, highe
     assert (found["x"], found["z"]) == highest
     found = RopeCasting(whole_motion=True).outcome(CASTING.item, seen)
     assert (found["x"], found["z"]) == whole
+
+
+class Aside(RopeReaching):
+    """It says anew where the tool goes with one rope."""
+
+    def tool_path(self, item, action):
+        path = super().tool_path(item, action)
+        return replace(path, position=path.position + np.array([0.0, 0.01, 0.0]))
+
+
+@pytest.mark.parametrize("task", [REACHING, CASTING, RopeCasting(whole_motion=True), Aside()])
+def test_many_ropes_are_led_and_judged_as_each_alone(task):
+    rng, items = np.random.default_rng(4), [rope(400.0)] * 20
+    actions = task.draw_actions(items, [rng] * 20)
+    paths, t = task.tool_paths(items, actions), task.times(items[0])
+    each = TcpPaths([task.tool_path(items[0], action) for action in actions])
+    for found, wanted in zip(paths.sampled(), each.sampled(), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    assert paths.events == each.events
+    hand, tip = paths.position_at(t), 0.02 * rng.normal(size=(20, len(t), 1, 3)).cumsum(axis=1)
+    np.testing.assert_array_equal(hand, each.position_at(t))
+    opens = rng.choice(t[: len(t) // 2], 20)
+    seen = Observed(times=t, points=tip, hand=hand, opens=opens)
+    found = task.outcomes_of(items, seen)
+    for w, item in enumerate(items):
+        assert {name: x[w] for name, x in found.items()} == task.outcome(item, seen[w])
+    assert len(set(found["x"])) == 20

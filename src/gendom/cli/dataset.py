@@ -50,8 +50,6 @@ class Command(Where):
 
     def run(self) -> int:
         from gendom.datasets.demonstrations import generate
-        from gendom.policies import Policy
-        from gendom.policies.evaluation import choose
         from gendom.tasks import find_task
         from gendom.tasks.demonstrator import Demonstrator
         from gendom.tasks.world import Simulation
@@ -65,6 +63,9 @@ class Command(Where):
         acts = None
         if self.policy is not None:
             require(self.cluster is None, "cannot share --policy", where="--cluster")
+            from gendom.policies import Policy
+            from gendom.policies.evaluation import choose
+
             acts = functools.partial(choose, Policy.read(self.policy))
         source = Demonstrator(task=kind(ranges=ranges), world=world, items=items, acts=acts)
         require(self.size >= 1, f"is {self.size}", where="--size", fix="give 1 or more")

@@ -15,6 +15,7 @@ shards can be simulated in any order, on any machine, and a set can be continued
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
 import json
@@ -27,7 +28,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -40,7 +41,6 @@ from filelock import FileLock, Timeout
 from gendom import __version__
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError
 from gendom.files import atomic_path, write_json
 from gendom.materials.names import current_name
@@ -51,14 +51,16 @@ FORMAT = "gendom-demonstrations/2"
 GOAL = "goal_"
 """Prefix of columns of goals."""
 
-SHARD_SIZE = {"cpu": 1024, "cuda": 4096}
+SHARD_SIZE = {"cpu": 4096, "cuda": 65536}
 """Default numbers of demonstrations in a shard, of cost 1."""
 
 _DESCRIPTION, _LOCK = "dataset.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 _IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is simulated
-_HOSTS = 10  # processes that draw and judge what one GPU simulates, which takes less time
+_HOSTS = 4  # processes that draw for GPUs
+_WORKERS = 8  # of a cluster, at least
 _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
+_MOST_TOGETHER = 4096
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
 _COLUMNS = {"demonstration": pa.int64(), "ok": pa.bool_(), "fault": pa.string()}  # others: float64
@@ -205,15 +207,19 @@ def _complete(
         from gendom.sim import list_devices  # Warp: a task that needs it imports it itself
 
         devices = list_devices(device)
-    together = _count_together(kind, shard_size, size - done, len(devices))
+    places = len(devices) if cluster is None else _WORKERS
+    together = _count_together(kind, shard_size, size - done, places)
     jobs: list[range] = []
     for number, own in parts.items():
         begin, end = number * shard_size + sum(map(len, own)), min((number + 1) * shard_size, size)
         jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
     simulate = functools.partial(_simulate, source, seed=seed)
     if cluster is None:
-        results = _on_devices(simulate, jobs, devices)
+        draw = functools.partial(_draw, source, seed=seed)
+        results = _on_devices(simulate, draw, jobs, devices)
     else:
+        from gendom.datasets.cluster import on_cluster
+
         results = on_cluster(simulate, jobs, cluster, kind, (source, *vars(source).values()))
     for job, found in results:
         number = job.start // shard_size
@@ -256,12 +262,13 @@ def _alone(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
+def _count_together(kind: str, shard_size: int, left: int, places: int) -> int:
     """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
-        return min(shard_size, max(16, left // 16))
-    parts = 1 if devices == 1 else _PARTS_PER_DEVICE * devices
-    return min(shard_size, max(_FEWEST_TOGETHER, -(-left // parts)))
+        # threads go through groups of them, which take as long in Python whatever their size
+        return min(shard_size, max(16, shard_size // 8 // places, left // (16 * places)))
+    parts = 1 if places == 1 else _PARTS_PER_DEVICE * places
+    return min(shard_size, _MOST_TOGETHER, max(_FEWEST_TOGETHER, -(-left // parts)))
 
 
 class _StoppedError(Exception):
@@ -269,15 +276,15 @@ class _StoppedError(Exception):
 
 
 def _on_devices(
-    simulate: Callable[..., dict[str, Any]], jobs: list[range], devices: list[str]
+    simulate: Callable[..., dict[str, Any]],
+    draw: Callable[[range], Columns],
+    jobs: list[range],
+    devices: list[str],
 ) -> Iterator[tuple[range, dict[str, Any]]]:
     """Run jobs in parallel on the devices, and yield jobs and results as they finish."""
     if len(devices) == 1 and not devices[0].startswith("cuda"):
         for job in jobs:
             yield job, simulate(job, device=devices[0])
-        return
-    if len(devices) == 1 and hasattr(os, "sched_getaffinity") and "warp" not in sys.modules:
-        yield from _on_one_gpu(simulate, jobs, devices[0])
         return
     free: queue.SimpleQueue[str] = queue.SimpleQueue()
     places = devices if "cpu" in devices else _IN_FLIGHT * devices
@@ -292,11 +299,12 @@ def _on_devices(
     def work(job: range) -> dict[str, Any]:
         device = free.get()
         try:
-            return simulate(job, device=device, on_frame=go_on)
+            return simulate(job, device=device, on_frame=go_on, draws=drawn(job))
         finally:
             free.put(device)
 
-    with ThreadPoolExecutor(max_workers=len(places)) as pool:
+    with _drawing(draw, jobs) as drawn, ThreadPoolExecutor(max_workers=len(places)) as pool:
+        threading.Thread(target=_open_driver, args=[devices[0]], daemon=True).start()
         at_work = {pool.submit(work, job): job for job in jobs}
         try:
             for done in as_completed(list(at_work)):
@@ -306,30 +314,42 @@ def _on_devices(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _on_one_gpu(
-    simulate: Callable[..., dict[str, Any]], jobs: list[range], device: str
-) -> Iterator[tuple[range, dict[str, Any]]]:
-    """The same in processes that share a GPU: branches of this one, which has not opened it."""
-    hosts = min(_HOSTS, len(jobs), len(os.sched_getaffinity(0)))
+@contextmanager
+def _drawing(
+    draw: Callable[[range], Columns], jobs: list[range]
+) -> Iterator[Callable[[range], Columns]]:
+    """What draws the inputs of jobs: branches of this process, while it imports Warp and opens a
+    GPU, which it must not have done before."""
+    hosts = min(_HOSTS, len(jobs), len(getattr(os, "sched_getaffinity", lambda _: ())(0)) - 1)
+    if hosts < 1 or "warp" in sys.modules:
+        yield draw
+        return
     fork = multiprocessing.get_context("fork")
     silent = signal.SIGINT, signal.SIG_IGN  # an interrupt is the parent's
-    _forked["simulate"] = simulate
+    _forked["draw"] = draw
     with ProcessPoolExecutor(hosts, fork, signal.signal, silent) as pool:
-        at_work = {pool.submit(_do, job, device): job for job in jobs}
-        pa.array([0])  # imports pandas, which takes long, while they work
+        drawn = {job: pool.submit(_draw_forked, job) for job in jobs}
         try:
-            for done in as_completed(list(at_work)):
-                yield at_work.pop(done), done.result()
+            yield lambda job: drawn.pop(job).result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _do(job: range, device: str) -> dict[str, Any]:
-    return _forked["simulate"](job, device=device)
+def _draw_forked(job: range) -> Columns:
+    return _forked["draw"](job)
 
 
-_forked: dict[str, Callable[..., dict[str, Any]]] = {}
+_forked: dict[str, Callable[[range], Columns]] = {}
 """What processes are made for: it comes with the branch, unpickled."""
+
+
+def _open_driver(device: str) -> None:
+    """Open a GPU while Python imports what needs it; what fails is told then."""
+    context = ctypes.c_void_p()
+    with suppress(OSError, AttributeError, ValueError):
+        driver = ctypes.CDLL("libcuda.so.1")
+        driver.cuInit(0)
+        driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), int(device.partition(":")[2] or 0))
 
 
 def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
@@ -520,6 +540,10 @@ def _unpacked(file: pq.ParquetFile) -> int:
     return bytes_
 
 
+def _draw(source: DemonstrationSource, indices: range, *, seed: int) -> Columns:
+    return source.draw([np.random.default_rng([seed, i]) for i in indices])
+
+
 def _simulate(
     source: DemonstrationSource,
     indices: range,
@@ -527,9 +551,10 @@ def _simulate(
     seed: int,
     device: str,
     on_frame: Callable[[int], None] | None = None,
+    draws: Columns | None = None,
 ) -> dict[str, Any]:
     """Draw and simulate the demonstrations with these numbers: columns, and `fault`."""
-    draws = source.draw([np.random.default_rng([seed, i]) for i in indices])
+    draws = _draw(source, indices, seed=seed) if draws is None else draws
     outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
     return {**draws, **outcomes.columns, "fault": outcomes.faults}
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -249,20 +249,41 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
     return items_from_columns(kind, {name: [x] for name, x in columns.items()})[0]
 
 
-def items_from_columns(kind: str, columns: Mapping[str, ArrayLike]) -> list[Item]:
-    """N objects at once from columns [N], each as of `from_columns`."""
-    made = KINDS[kind]
+def items_from_columns(
+    kind: str, columns: Mapping[str, ArrayLike], *, like: Item | None = None
+) -> list[Item]:
+    """N objects at once from columns [N], each as of `from_columns`; what no column has is as of
+    the object that they are ``like``, if one is given."""
+    made, usual = KINDS[kind], vars(like.material if like else Material())
     columns = {current_name(name): values for name, values in columns.items()}
     own, of_material = (*made.sizes, "friction"), ("E", "nu", "density", "damping")
-    rows = np.array([columns[name] for name in (*own, *of_material)], dtype=float).T.tolist()
-    k = len(own)
-    return [
-        made(
-            **dict(zip(own, row, strict=False)),
-            material=Material(**dict(zip(of_material, row[k:], strict=True))),
-        )
-        for row in rows
-    ]
+    numbers = np.array([columns[name] for name in (*own, *of_material)], dtype=float)
+
+    def made_of(rows: Array, checked: bool) -> list[Item]:
+        found = []
+        for *sizes, E, nu, density, damping in rows.tolist():
+            of = {**usual, "E": E, "nu": nu, "density": density, "damping": damping}
+            material = _unchecked(Material, of) if checked else Material(**of)
+            of = {**dict(zip(own, sizes, strict=True)), "material": material}
+            found.append(_unchecked(made, of) if checked else made(**of))
+        return found
+
+    if numbers.shape[1] <= 3:
+        return made_of(numbers.T, False)
+    # what is checked are ranges, and thickness over size: all is right if the extremes are
+    thickest = numbers[:, np.argmax(numbers[1] - 0.2 * numbers[0])]
+    try:
+        made_of(np.array([numbers.min(axis=1), numbers.max(axis=1), thickest]), False)
+    except ParameterError:
+        return made_of(numbers.T, False)  # tells which
+    return made_of(numbers.T, True)
+
+
+def _unchecked(of: type, values: dict[str, Any]) -> Any:
+    """A frozen dataclass of these values, all that it has."""
+    made = object.__new__(of)
+    vars(made).update(values)
+    return made
 
 
 def dimensionless_columns(kind: str, columns: Mapping[str, Array]) -> dict[str, Array]:

@@ -3,31 +3,45 @@
 The robot's base is the world. NumPy and SciPy only; nothing here moves a real arm.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from gendom.arguments import require
 from gendom.errors import RobotError
+from gendom.lazy import imported_later
 from gendom.plugins import plugins
-from gendom.robot.arm import FR3, XARM7, Arm, FingerCapsule, LinkCapsule, ParallelGripper
-from gendom.robot.capsules import fit_capsules
-from gendom.robot.collision import Box, CollisionChecker, Post, Surroundings
-from gendom.robot.description import read_arm
-from gendom.robot.kinematics import (
-    arm_shape,
-    jacobian,
-    link_poses,
-    pose_error,
-    solutions,
-    tcp_pose,
-)
-from gendom.robot.motion import JointMotion, JointStates, read_joints
-from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift, predefined_lift
-from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
-from gendom.robot.planning import follow, joint_move
+
+if TYPE_CHECKING:
+    from gendom.robot.arm import FR3, XARM7, Arm, FingerCapsule, LinkCapsule, ParallelGripper
+    from gendom.robot.capsules import fit_capsules
+    from gendom.robot.collision import Box, CollisionChecker, Post, Surroundings
+    from gendom.robot.description import read_arm
+    from gendom.robot.kinematics import arm_shape, jacobian, link_poses, pose_error
+    from gendom.robot.kinematics import solutions, tcp_pose  # isort: skip
+    from gendom.robot.motion import JointMotion, JointStates, read_joints
+    from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift, predefined_lift
+    from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
+    from gendom.robot.planning import follow, joint_move
+
+_MODULES = {
+    "arm": ("FR3", "XARM7", "Arm", "FingerCapsule", "LinkCapsule", "ParallelGripper"),
+    "capsules": ("fit_capsules",),
+    "collision": ("Box", "CollisionChecker", "Post", "Surroundings"),
+    "description": ("read_arm",),
+    "kinematics": ("arm_shape", "jacobian", "link_poses", "pose_error", "solutions", "tcp_pose"),
+    "motion": ("JointMotion", "JointStates", "read_joints"),
+    "motions": ("LIFT_ENDS", "MOTION_FORMAT", "LiftMotion", "lift", "predefined_lift"),
+    "path": ("DOWN", "GripperEvent", "TcpPath", "TcpPaths", "pointing"),
+    "planning": ("follow", "joint_move"),
+}
+__getattr__ = imported_later(__name__, {n: of for of, names in _MODULES.items() for n in names})
 
 
 def known_arms() -> dict[str, Any]:
     """Arms by their names: those that are shipped, and of entry points ``gendom.arms``."""
+    from gendom.robot.arm import FR3, XARM7
+
     return {XARM7.name: XARM7, FR3.name: FR3, **plugins("arms")}
 
 
@@ -42,6 +56,9 @@ def find_arm(name: str, *, files: bool = False) -> Arm:
     Raises:
         RobotError: There is none, or the file is not read (`read_arm`).
     """
+    from gendom.robot.arm import Arm
+    from gendom.robot.description import read_arm
+
     if files and str(name).lower().endswith((".urdf", ".xml", ".mjcf")):
         return read_arm(name)
     arms = known_arms()
@@ -52,39 +69,9 @@ def find_arm(name: str, *, files: bool = False) -> Arm:
 
 
 __all__ = [
-    "DOWN",
-    "FR3",
-    "LIFT_ENDS",
-    "MOTION_FORMAT",
-    "XARM7",
-    "Arm",
-    "Box",
-    "CollisionChecker",
-    "FingerCapsule",
-    "GripperEvent",
-    "JointMotion",
-    "JointStates",
-    "LiftMotion",
-    "LinkCapsule",
-    "ParallelGripper",
-    "Post",
-    "Surroundings",
-    "TcpPath",
-    "TcpPaths",
-    "arm_shape",
-    "find_arm",
-    "fit_capsules",
-    "follow",
-    "jacobian",
-    "joint_move",
-    "known_arms",
-    "lift",
-    "link_poses",
-    "pointing",
-    "pose_error",
-    "predefined_lift",
-    "read_arm",
-    "read_joints",
-    "solutions",
-    "tcp_pose",
-]
+    "DOWN", "FR3", "LIFT_ENDS", "MOTION_FORMAT", "XARM7", "Arm", "Box", "CollisionChecker",
+    "FingerCapsule", "GripperEvent", "JointMotion", "JointStates", "LiftMotion", "LinkCapsule",
+    "ParallelGripper", "Post", "Surroundings", "TcpPath", "TcpPaths", "arm_shape", "find_arm",
+    "fit_capsules", "follow", "jacobian", "joint_move", "known_arms", "lift", "link_poses",
+    "pointing", "pose_error", "predefined_lift", "read_arm", "read_joints", "solutions", "tcp_pose",
+]  # fmt: skip

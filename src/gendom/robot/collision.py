@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,9 @@ from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import arm_shape, link_poses
-from gendom.robot.motion import JointMotion
+
+if TYPE_CHECKING:
+    from gendom.robot.motion import JointMotion
 
 RESOLUTION = 2e-4
 """Largest movement of any part between two checked configurations of a motion [m]."""

@@ -196,16 +196,28 @@ class TcpPaths:
     rounded off by its own blend."""
 
     def __init__(self, paths: Sequence[TcpPath]):
-        self.paths = list(paths)
         # Shorter paths rest at their last place for a second a missing knot.
-        last = np.array([len(path.time) - 1 for path in self.paths])[:, None]
+        last = np.array([len(path.time) - 1 for path in paths])[:, None]
         k = np.arange(last.max() + 1)
         every = np.cumsum(last + 1, axis=0) - last - 1 + np.minimum(k, last)
         self._own = k <= last
-        self._time = np.concatenate([p.time for p in self.paths])[every] + np.maximum(k - last, 0)
-        self._position = np.concatenate([p.position for p in self.paths])[every]
-        self._blend = np.array([path.blend or 0.0 for path in self.paths])
+        self._time = np.concatenate([p.time for p in paths])[every] + np.maximum(k - last, 0)
+        self._position = np.concatenate([p.position for p in paths])[every]
+        self._blend = np.array([path.blend or 0.0 for path in paths])
         self._corner = _velocity_jumps(self._time, self._position).any(axis=2)
+        self.events = [path.events for path in paths]
+        """[W] when the grippers close and open."""
+
+    @classmethod
+    def alike(cls, path: TcpPath, time: Array, position: Array) -> TcpPaths:
+        """W paths that differ from one by their knots alone, which lie at times [W, K] or [K] [s]
+        and positions [W, K, 3] [m], as `TcpPath` would have them."""
+        made, W = cls([path]), len(position)
+        made._time, made._position = np.broadcast_to(time, position.shape[:2]), position
+        made._own = np.ones(made._time.shape, dtype=bool)
+        made._corner = _velocity_jumps(made._time, position).any(axis=2)
+        made._blend, made.events = np.repeat(made._blend, W), made.events * W
+        return made
 
     @cached_property
     def moves(self) -> Array:
@@ -220,7 +232,7 @@ class TcpPaths:
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array, NDArray[np.intp]]:
         """Times [W, K] [s] and positions [W, K, 3] [m] as `TcpPath.sampled`, and how many of them
         each path has [W]; shorter ones repeat their last."""
-        half, W = 0.5 * self._blend, len(self.paths)
+        half, W = 0.5 * self._blend, len(self._time)
         near = np.linspace(-half, half, per_blend + 1, axis=1)
         blended = self._corner & (half > 0.0)[:, None]
         around = np.where(blended[..., None], self._time[..., None] + near[:, None], np.inf)
@@ -250,8 +262,11 @@ def _rounded(time: Array, knots: Array, position: Array, blend: Array) -> Array:
     total = np.zeros((len(knots), time.shape[-1], 3))
     # one after the other: a matrix product may round differently from call to call
     for k in np.flatnonzero(jumps.any(axis=(0, 2))):
-        total += _ramp(time - knots[:, k, None], blend[:, None])[..., None] * jumps[:, None, k]
-    return position[:, :1] + total
+        ramp = _ramp(time - knots[:, k, None], blend[:, None])
+        for axis in np.flatnonzero(jumps[:, k].any(axis=0)):
+            total[..., axis] += ramp * jumps[:, k, axis, None]
+    total += position[:, :1]
+    return total
 
 
 def _ramp(t: Array, blend: Array) -> Array:
@@ -259,7 +274,8 @@ def _ramp(t: Array, blend: Array) -> Array:
     if not np.any(blend):
         return np.maximum(t, 0.0)
     u = np.clip(t / np.maximum(blend, 1e-12) + 0.5, 0.0, 1.0)
-    return blend * (u**3 - 0.5 * u**4) + np.maximum(t - 0.5 * blend, 0.0)
+    # u^3 - u^4 / 2: NumPy's powers take ten times as long
+    return blend * (u * u * u * (1.0 - 0.5 * u)) + np.maximum(t - 0.5 * blend, 0.0)
 
 
 def _require(holds: Any, what: str) -> None:

@@ -12,7 +12,7 @@ from gendom.sim.obstacles import Capsule, Cuboid, Obstacle, Sphere, Table
 from gendom.sim.setting import ENGINES, GRAVITY, Physics, Solver, Variation
 
 if TYPE_CHECKING:
-    from gendom.sim.device import claimed, list_devices, open_device
+    from gendom.sim.device import list_devices, open_device
     from gendom.sim.mpm.engine import CFL, stable_substep
     from gendom.sim.rollout import Rollout
     from gendom.sim.simulator import Simulator
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __getattr__ = imported_later(
     __name__,
     {
-        **dict.fromkeys(("claimed", "list_devices", "open_device"), "device"),
+        **dict.fromkeys(("list_devices", "open_device"), "device"),
         **dict.fromkeys(("CFL", "stable_substep"), "mpm.engine"),
         "Rollout": "rollout",
         "Simulator": "simulator",
@@ -49,7 +49,6 @@ __all__ = [
     "Targets",
     "Variation",
     "check_numbers",
-    "claimed",
     "cloth",
     "list_devices",
     "open_device",

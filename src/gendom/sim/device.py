@@ -10,7 +10,6 @@ import stat
 import sys
 import tempfile
 import threading
-from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,8 +29,6 @@ SEAL = "gendom.json"
 """File of checksums beside compiled kernels."""
 
 _log = logging.getLogger(__name__)
-
-_in_use: defaultdict[str, Any] = defaultdict(threading.RLock)
 
 
 def open_device(name: str) -> Any:
@@ -62,20 +59,6 @@ def list_devices(names: str) -> list[str]:
         return [open_device(name.strip()).alias for name in names.split(",")]
     open_device("cuda")
     return [device.alias for device in wp.get_cuda_devices()]
-
-
-@contextmanager
-def claimed(name: str) -> Iterator[None]:
-    """Reserve a GPU for the simulation of one thread; other threads wait.
-
-    Work outside this context can overlap with another thread's simulation.
-    """
-    device = open_device(name)
-    if not device.is_cuda:
-        yield
-        return
-    with _in_use[device.alias]:
-        yield
 
 
 def cores() -> int:

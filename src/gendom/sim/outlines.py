@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.spatial import KDTree
 
@@ -224,6 +223,8 @@ class Cut:
         by its corners: integrals of bilinear shape functions, the corner's row and column first."""
         self.cells = _merged(self.corners)
         """[rows - 1, columns - 1] share of each cell's area; 0: there is no cell."""
+        from scipy.ndimage import label  # takes long to import
+
         _, parts = label(self.cells > 0.0)  # pyright: ignore[reportGeneralTypeIssues]
         require(parts == 1, "the outline falls apart on this lattice", fix="more points")
         has, quarters = np.zeros(points[::-1], dtype=bool), np.zeros(points[::-1])

@@ -203,11 +203,12 @@ class HostPaths:
     def pose(self, g: int, w: Array, t: Array) -> Pose:
         """Pose of gripper g of worlds w [k], each once, at times t [k] [s]."""
         path, (knot, share, _, _) = self.arrays, self._at(g, w, t)
-        turned = Rotation.from_rotvec(share * path["turn"][w, g, knot]).as_quat()
-        q = rotation.product(turned, path["orientation"][w, g, knot])
-        turns = path["turns"][w, g, None] == 1
+        q, turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)), path["turns"][w, g] == 1
+        if turns.any():
+            turned = Rotation.from_rotvec(share * path["turn"][w, g, knot]).as_quat()
+            q[turns] = rotation.product(turned, path["orientation"][w, g, knot])[turns]
         centre, velocity, spin = self.motion(g, w, t)
-        return Pose(centre, np.where(turns, q, [0.0, 0.0, 0.0, 1.0]), velocity, spin)
+        return Pose(centre, q, velocity, spin)
 
     def motion(self, g: int, w: Array, t: Array) -> tuple[Array, Array, Array]:
         """Centre, velocity and spin of ``pose``."""

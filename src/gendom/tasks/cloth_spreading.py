@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from PIL import Image, ImageDraw
 
 from gendom.arrays import Array
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
@@ -115,7 +114,7 @@ class ClothSpreading(Task):
     )
     watches: ClassVar[str] = "all"
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = tuple((A,) for A in CHOICES)
-    cost: ClassVar[float] = 16.0
+    cost: ClassVar[float] = 64.0
 
     item: Item = CLOTH
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(RANGES))
@@ -200,6 +199,8 @@ def spread_areas(x: Array, triangles: np.ndarray) -> tuple[float, float]:
         x: [V, 3] vertices [sides]; the table is z = 0.
         triangles: [F, 3].
     """
+    from PIL import Image, ImageDraw  # not before it is needed
+
     corners = x[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)

@@ -58,15 +58,14 @@ class Demonstrator:
         task = self.task
         if self.items:
             items = [self.items[rng.integers(len(self.items))] for rng in rngs]
+            rows = [to_columns(item) for item in items]
+            columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         else:
-            items = task.draw_items(rngs)
+            columns = task.draw_columns(rngs)
+            items = items_from_columns(task.kind, columns, like=task.item)
         acts = task.draw_actions if self.acts is None else self._acted
         actions = acts(items, rngs)
-        rows = [to_columns(item) for item in items]
-        return {
-            **{name: np.array([row[name] for row in rows]) for name in rows[0]},
-            **{q.name: actions[:, k] for k, q in enumerate(task.actions)},
-        }
+        return {**columns, **{q.name: actions[:, k] for k, q in enumerate(task.actions)}}
 
     def _acted(self, items: Sequence[Item], rngs: Sequence[np.random.Generator]) -> Array:
         """[W, A] what is chosen for goals, with some noise."""

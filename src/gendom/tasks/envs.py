@@ -101,7 +101,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs, self.sees_parameters = num_envs, parameters
         self.world = Simulation(device=device, threads=threads)
         path = self._path(self.task.item)
-        self.lets_go = math.isfinite(opening(path))
+        self.lets_go = math.isfinite(opening(path.events))
         size = (3 * cloud or 6 * MARKERS) + 5 + len(self.task.goals) + 5 * parameters
         box = gymnasium.spaces.Box
         self.single_observation_space = box(-np.inf, np.inf, (size,), np.float32)
@@ -241,7 +241,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         task, simulator = self.task, self._simulator
         times, x, hand = (np.array(values) for values in zip(*self._seen, strict=True))
         assert simulator is not None
-        opens = np.minimum(self._opened, times[-1]).tolist()
+        opens = np.minimum(self._opened, times[-1])
         hands = np.moveaxis(hand, 1, 0)
         found = judged(task, self.items, simulator, self.body, times, x, hands, opens)
         reward = np.nan_to_num(

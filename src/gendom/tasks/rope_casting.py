@@ -8,7 +8,7 @@ and an acceleration that an arm has.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from gendom.arrays import Array, rigid
 from gendom.materials import STANDARD_GRAVITY, Item, size_of, unit_of
-from gendom.robot.path import DOWN, GripperEvent, TcpPath
+from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths
 from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
 MOVE_LENGTH = (0.4, 0.9)
@@ -94,19 +94,29 @@ class RopeCasting(Task):
         return Scene(origin=(0.0, 0.0, L), along=(0.0, 0.0, -1.0), grip=GRIP * L)
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
-        second, way, speed = unit_of("s", item), float(action[0]), self.speed * unit_of("m/s", item)
-        start = size_of(item) * np.array([0.0, 0.0, 1.0])
-        end = start + np.array([way, 0.0, 0.0])
+        (time,), (position,), blend = self._knots(item, action[None])
+        closes = GripperEvent(time=time[0], closed=True)
+        return TcpPath(
+            time=time, position=position, quat_xyzw=np.array(DOWN), events=(closes,), blend=blend
+        )
+
+    def tool_paths(self, items: Sequence[Item], actions: Array) -> TcpPaths:
+        time, position, _ = self._knots(items[0], actions)
+        return TcpPaths.alike(self.tool_path(items[0], actions[0]), time, position)
+
+    def _knots(self, item: Item, actions: Array) -> tuple[Array, Array, float]:
+        """Times [W, 4] [s] and positions [W, 4, 3] [m] of the tool, and how they are rounded off
+        [s]."""
+        second, speed = unit_of("s", item), self.speed * unit_of("m/s", item)
         # rounded off, the move begins half a blend earlier: at 0
         blend = 1.5 * speed / (ACCELERATION * STANDARD_GRAVITY)
         begin = 0.5 * blend
-        return TcpPath(
-            time=np.array([-WAIT * second, begin, begin + way / speed, second * self._watched]),
-            position=np.array([start, start, end, end]),
-            quat_xyzw=np.array(DOWN),
-            events=(GripperEvent(time=-WAIT * second, closed=True),),
-            blend=blend,
-        )
+        time = np.tile([-WAIT * second, begin, begin, second * self._watched], (len(actions), 1))
+        time[:, 2] += actions[:, 0] / speed
+        position = np.zeros((len(actions), 4, 3))
+        position[..., 2] = size_of(item)
+        position[:, 2:, 0] = actions
+        return time, position, blend
 
     def times(self, item: Item) -> Array:
         return unit_of("s", item) * np.linspace(0.0, self._watched, FRAMES + 1)
@@ -117,20 +127,19 @@ class RopeCasting(Task):
         return MOVE_LENGTH[1] / self.speed + (WATCHED_WHOLE if self.whole_motion else WATCHED)
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
-        x, z = seen.tip[:, 0], seen.tip[:, 2]
-        hand = seen.hand[:, 0]
-        stands = np.abs(hand - hand[-1]) <= STANDS_WITHIN * size_of(item)
+        return {name: float(x[0]) for name, x in self.outcomes_of([item], seen[None]).items()}
+
+    def outcomes_of(self, items: Sequence[Item], seen: Observed) -> dict[str, Array]:
+        x, y, z = np.moveaxis(seen.tip, 2, 0)
+        hand = seen.hand[..., 0]
+        stands = np.abs(hand - hand[:, -1:]) <= STANDS_WITHIN * size_of(items[0])
         ahead = stands & (x > hand)
-        begin = int(np.argmax(ahead))
-        behind = np.flatnonzero(~ahead[begin:])
-        end = begin + int(behind[0]) if len(behind) and ahead[begin] else len(x)
-        first = begin + int(np.argmax(z[begin:end]))
-        top = int(np.argmax(z)) if self.whole_motion else first
-        return {
-            "x": float(x[top] - x[0]),
-            "z": float(z[top] - z[0]),
-            "sideways": float(np.abs(seen.tip[:, 1]).max()),
-        }
+        since = np.logical_or.accumulate(ahead, axis=1)
+        swings = ~np.logical_or.accumulate(since & ~ahead, axis=1) & since
+        counts = swings | ~since[:, -1:] | self.whole_motion
+        top = np.where(counts, z, -np.inf).argmax(axis=1)[:, None]
+        highest = (np.take_along_axis(of, top, axis=1)[:, 0] - of[:, 0] for of in (x, z))
+        return {**dict(zip("xz", highest, strict=True)), "sideways": np.abs(y).max(axis=1)}
 
     def T_world_task(self, item: Item) -> Array:
         # x runs along the base's y, the middle of the longest cast straight ahead

@@ -11,7 +11,7 @@ paper's times and moduli carry over by
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from gendom.arrays import Array, rigid
 from gendom.materials import Item, size_of, unit_of
-from gendom.robot.path import GripperEvent, TcpPath, pointing
+from gendom.robot.path import GripperEvent, TcpPath, TcpPaths, pointing
 from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
 PAPER_CLOCK = math.sqrt(0.5 / 12.0)
@@ -107,7 +107,8 @@ class RopeReaching(Task):
 
     def margin(self, item: Item, action: Array) -> float:
         near, far = RELEASE_DISTANCE
-        distance = math.hypot(*(action / size_of(item) - [1.0, TOP_HEIGHT]))
+        x, z = (action / size_of(item)).tolist()
+        distance = math.hypot(x - 1.0, z - TOP_HEIGHT)
         return min(distance - near, far - distance)
 
     def limits_note(self, item: Item) -> str:
@@ -124,12 +125,10 @@ class RopeReaching(Task):
         return Scene(origin=self.top(item), along=(0.0, 0.0, -1.0), bow=bow, stand=grip, grip=grip)
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
-        second, (x, z) = unit_of("s", item), action
-        tip = self.top(item) - np.array([0.0, 0.0, size_of(item)])
-        release = np.array([x, 0.0, z])
+        second = unit_of("s", item)
         return TcpPath(
             time=second * np.array([-WAIT, 0.0, ARRIVES, ENDS]),
-            position=np.array([tip, tip, release, release]),
+            position=self._knots(item, action[None])[0],
             quat_xyzw=POINTING_FORWARD,
             events=(
                 GripperEvent(time=-WAIT * second, closed=True),
@@ -139,12 +138,30 @@ class RopeReaching(Task):
             max_blend=2.0 * second * min(RELEASES - ARRIVES, WAIT),
         )
 
+    def tool_paths(self, items: Sequence[Item], actions: Array) -> TcpPaths:
+        path = self.tool_path(items[0], actions[0])
+        return TcpPaths.alike(path, path.time, self._knots(items[0], actions))
+
+    def _knots(self, item: Item, actions: Array) -> Array:
+        """[W, 4, 3] where the tool waits, begins, arrives and ends [m]."""
+        knots = np.zeros((len(actions), 4, 3))
+        knots[:, :2] = self.top(item) - [0.0, 0.0, size_of(item)]
+        knots[:, 2:, ::2] = actions[:, None]
+        return knots
+
     def times(self, item: Item) -> Array:
         return unit_of("s", item) * np.linspace(RELEASES, ENDS, FRAMES + 1)
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
-        free = seen.tip[seen.times >= seen.opens - 1e-9]
-        return {"x": float(free[:, 0].max()), "sideways": float(np.abs(free[:, 1]).max())}
+        return {name: float(x[0]) for name, x in self.outcomes_of([item], seen[None]).items()}
+
+    def outcomes_of(self, items: Sequence[Item], seen: Observed) -> dict[str, Array]:
+        free = seen.times >= np.asarray(seen.opens)[:, None] - 1e-9
+        forward, aside = seen.tip[..., 0], np.abs(seen.tip[..., 1])
+        return {
+            "x": np.where(free, forward, -np.inf).max(axis=1),
+            "sideways": np.where(free, aside, 0.0).max(axis=1),
+        }
 
     def T_world_task(self, item: Item) -> Array:
         return rigid([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], ORIGIN)

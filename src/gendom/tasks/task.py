@@ -31,6 +31,7 @@ from gendom.materials import (
     Material,
     Rope,
     from_columns,
+    items_from_columns,
     size_of,
     thickness_of,
     to_columns,
@@ -38,7 +39,7 @@ from gendom.materials import (
 )
 from gendom.materials.names import with_current_names
 from gendom.reading import record_of
-from gendom.robot.path import TcpPath
+from gendom.robot.path import TcpPath, TcpPaths
 
 ROPE = Rope(length=0.25, diameter=0.014, material=Material(damping=0.004))
 """The rope that demonstrations are simulated with, where a task asks for no other."""
@@ -67,6 +68,9 @@ SLACK = 1e-6
 """How far beyond its limits an action may be, for rounding [units of similarity]."""
 
 _HALVINGS = 30
+
+_MANY = {"tool_path": "tool_paths", "outcome": "outcomes_of"}
+"""Of a task: what it says of an object, and of many at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +115,8 @@ class Observed:
     """What a world observed of one object; T is the number of times.
 
     Positions of a rope run along its centre line from its first end to its last; [:, -1] is its
-    tip. Of a cloth they are a lattice, row by row.
+    tip. Of a cloth they are a lattice, row by row. Of W objects at once, all but the times has
+    another axis in front, [W, ...].
     """
 
     times: Array
@@ -120,7 +125,7 @@ class Observed:
     """[T, V, 3] [m]; only the tip (V = 1) of tasks that watch no more."""
     hand: Array
     """[T, 3] the tool point [m]."""
-    opens: float
+    opens: Any
     """When the hand opens [s]; infinite: never."""
     lattice: tuple[int, int] = (0, 0)
     """Rows and points in a row of a cloth."""
@@ -128,7 +133,12 @@ class Observed:
     @property
     def tip(self) -> Array:
         """[T, 3] a rope's free end [m]."""
-        return self.points[:, -1]
+        return self.points[..., -1, :]
+
+    def __getitem__(self, w: Any) -> Observed:
+        """Of some objects, or with None: of one as of several."""
+        of = {n: np.asarray(getattr(self, n))[w] for n in ("points", "hand", "opens")}
+        return replace(self, **of)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,6 +236,10 @@ class Task(ABC):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        # what is said of one object anew holds for many, too
+        for one, many in _MANY.items():
+            if one in vars(cls) and many not in vars(cls):
+                setattr(cls, many, getattr(Task, many))
         cls.risk = next((q for q in cls.outcomes if q.limit < math.inf), None)
 
     def __post_init__(self) -> None:
@@ -239,8 +253,8 @@ class Task(ABC):
             positive = low > 0.0 or (low == 0.0 and (high == 0.0 or not DRAWN[name].log))
             require(positive, what, where=where, fix="give positive numbers, the smaller one first")
             try:
-                for end in (low, high):
-                    self._item_with({name: end})
+                ends = self._columns_with({name: np.array([low, high])}, 2)
+                items_from_columns(self.kind, ends, like=self.item)
             except ParameterError as error:
                 raise ParameterError(error.what, where=where, fix=error.fix) from None
 
@@ -279,6 +293,17 @@ class Task(ABC):
         """How far an action is within what limits alone do not say [units of similarity]; below
         0: it is not allowed."""
         return math.inf
+
+    # the same of W objects of one size, which a task may say faster
+
+    def tool_paths(self, items: Sequence[Item], actions: Array) -> TcpPaths:
+        """Paths of W actions [W, A]."""
+        return TcpPaths([self.tool_path(i, a) for i, a in zip(items, actions, strict=True)])
+
+    def outcomes_of(self, items: Sequence[Item], seen: Observed) -> dict[str, Array]:
+        """[W] outcomes by name."""
+        rows = [self.outcome(item, seen[w]) for w, item in enumerate(items)]
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
         """How far from a goal [G] an outcome is, in the goals' unit."""
@@ -389,43 +414,41 @@ class Task(ABC):
 
     def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
         """W objects, each drawn as `draw_item` from its own generator."""
+        return items_from_columns(self.kind, self.draw_columns(rngs), like=self.item)
+
+    def draw_columns(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
+        """The same as columns [W], see `gendom.materials.to_columns`."""
         # in their own order, so that draws do not depend on the mapping's
         names = [name for name in DRAWN if name in self.ranges]
         shares = np.array([rng.random(len(names)) for rng in rngs])
-        columns = []
-        for k, name in enumerate(names):
+        drawn = {}
+        for name, share in zip(names, shares.T, strict=True):
             low, high = self.ranges[name]
             log = DRAWN[name].log and low > 0.0
             if log:
                 low, high = math.log(low), math.log(high)
-            numbers = (low + (high - low) * shares[:, k]).tolist()
-            columns.append([math.exp(x) for x in numbers] if log else numbers)
-        rows = zip(*columns, strict=True) if names else [()] * len(rngs)
-        return [self._item_with(dict(zip(names, row, strict=True))) for row in rows]
+            numbers = low + (high - low) * share
+            # NumPy's differs between processors
+            drawn[name] = np.array([math.exp(x) for x in numbers.tolist()]) if log else numbers
+        return self._columns_with(drawn, len(rngs))
 
     def of_one_size(self) -> Self:
         """The same task, all of whose drawn objects are as thick as its own."""
         ranges = {name: ends for name, ends in self.ranges.items() if name in QUANTITIES}
         return replace(self, ranges=ranges)
 
-    def _item_with(self, values: Mapping[str, float]) -> Item:
-        """The task's object with other parameters, as named in `ranges`.
-
-        Raises:
-            ParameterError: There is no such object.
-        """
-        m, given = self.item.material, dict(values)
-        friction = given.pop("friction", self.item.friction)
-        E_over_rho = given.pop("E_over_rho", m.E_over_rho)
-        ratio = given.pop("thickness_ratio", 0.0)
-        E = E_over_rho * given.get("density", m.density)
-        item = replace(self.item, material=replace(m, E=E, **given), friction=friction)
-        if not ratio:
-            return item
-        thick = size_of(item) * 10.0 ** (round(THICKNESSES * math.log10(ratio)) / THICKNESSES)
-        # of the same bending length
-        own = replace(item.material, E=E * (thickness_of(item) / thick) ** 2)
-        return replace(item, material=own, **{item.sizes[1]: thick})
+    def _columns_with(self, drawn: Mapping[str, Array], count: int) -> dict[str, Array]:
+        """Columns [count] of the task's object with other parameters, as named in `ranges`."""
+        item, own = self.item, to_columns(self.item)
+        of = {name: drawn.get(name, np.full(count, value)) for name, value in own.items()}
+        of["E"] = of["E_over_rho"] * of["density"]
+        if (ratio := drawn.get("thickness_ratio")) is not None and ratio.all():
+            steps = [round(THICKNESSES * math.log10(x)) for x in ratio.tolist()]
+            thick = size_of(item) * np.array([10.0 ** (k / THICKNESSES) for k in steps])
+            # of the same bending length
+            of["E"] = of["E"] * (thickness_of(item) / thick) ** 2
+            of[item.sizes[1]] = thick
+        return of | {"E_over_rho": of["E"] / of["density"]}
 
     # ---- settings --------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials import AIR_DENSITY, Item, Rope, size_of, thickness_of
-from gendom.robot.path import TcpPath, TcpPaths
+from gendom.robot.path import GripperEvent, TcpPaths
 from gendom.sim import Body, Gripper, Grippers, Physics, Solver, Table, Variation, cloth, rope
 from gendom.sim.bodies import CELLS_ACROSS
 from gendom.tasks.task import Observed, Outcome, Scene, Task
@@ -180,24 +181,21 @@ class Simulation:
         on_frame: Callable[[int], None] | None,
     ) -> list[Outcome]:
         """Simulate objects of one size."""
-        from gendom.sim import claimed
-
-        paths = TcpPaths([task.tool_path(item, a) for item, a in zip(items, actions, strict=True)])
+        paths = task.tool_paths(items, actions)
         begin, times = float(paths.moves.min()), task.times(items[0])
         if self.everything:
             before = np.linspace(begin, times[0], EARLIER_FRAMES, endpoint=False)
             times = np.concatenate([before, times])
-        with claimed(self.device):
-            simulator, body = self.simulator(task, items, paths, begin)
-            all_points = self.everything or task.watches == "all"
-            if self.engine == "thin":
-                tip = np.array([len(body.points) - 1])
-            else:  # the last section
-                along = body.material_coordinates[:, 0]
-                tip = np.flatnonzero(along == along.max())
-            seen = None if all_points else tip
-            recorded = simulator.run(times, on_frame=on_frame, particles=seen, keep_going=True)
-        hands, opens = paths.position_at(times), [opening(path) for path in paths.paths]
+        simulator, body = self.simulator(task, items, paths, begin)
+        all_points = self.everything or task.watches == "all"
+        if self.engine == "thin":
+            tip = np.array([len(body.points) - 1])
+        else:  # the last section
+            along = body.material_coordinates[:, 0]
+            tip = np.flatnonzero(along == along.max())
+        seen = None if all_points else tip
+        recorded = simulator.run(times, on_frame=on_frame, particles=seen, keep_going=True)
+        hands, opens = paths.position_at(times), np.array(list(map(opening, paths.events)))
         return judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
 
 
@@ -209,23 +207,26 @@ def judged(
     times: Array,
     x: Array,
     hands: Array,
-    opens: Sequence[float],
+    opens: Array,
     *,
     keep: bool = False,
 ) -> list[Outcome]:
     """Outcomes of W objects whose points were at x [T, W, N, 3] at `times` [T], and the tools at
     `hands` [W, T, 3] [m]; these opened at `opens` [W] [s]."""
     lattice = _lattice(body, simulator.num_points) if task.kind == "cloth" else (0, 0)
-    outcomes = []
-    for w, item in enumerate(items):
-        if w in simulator.failures:
-            error = simulator.failures[w]
-            when = "" if error.time is None else f" at {error.time:.4f} s"
-            outcomes.append(Outcome(values={}, fault=error.what + when))
-            continue
-        points = middle_of(body, x[:, w].astype(float))
-        seen = Observed(times=times, points=points, hand=hands[w], opens=opens[w], lattice=lattice)
-        outcomes.append(Outcome(values=task.outcome(item, seen), seen=seen if keep else None))
+    points = middle_of(body, np.ascontiguousarray(np.swapaxes(x, 0, 1), dtype=float))
+    seen = Observed(times=times, points=points, hand=hands, opens=opens, lattice=lattice)
+    whole = [w for w in range(len(items)) if w not in simulator.failures]
+    some = seen if len(whole) == len(items) else seen[whole]
+    found = task.outcomes_of([items[w] for w in whole], some) if whole else {}
+    rows = zip(*(values.tolist() for values in found.values()), strict=True)
+    outcomes = [Outcome(values={})] * len(items)
+    for w, row in zip(whole, rows, strict=True):
+        values = dict(zip(found, row, strict=True))
+        outcomes[w] = Outcome(values=values, seen=seen[w] if keep else None)
+    for w, error in simulator.failures.items():
+        when = "" if error.time is None else f" at {error.time:.4f} s"
+        outcomes[w] = Outcome(values={}, fault=error.what + when)
     return outcomes
 
 
@@ -246,9 +247,9 @@ def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Arra
     return wanted
 
 
-def opening(path: TcpPath) -> float:
+def opening(events: Sequence[GripperEvent]) -> float:
     """When the hand opens [s]; infinite: never."""
-    return next((e.time for e in path.events if not e.closed), math.inf)
+    return next((e.time for e in events if not e.closed), math.inf)
 
 
 def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
@@ -258,7 +259,7 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
     Raises:
         ParameterError: Tools do not close equally often.
     """
-    holds = [_holds(path, begin) for path in paths.paths]
+    holds = [_holds(events, begin) for events in paths.events]
     often = {len(h) for h in holds}
     require(len(often) == 1, f"the tool must close equally often in all worlds, got {often}")
     time, position, _ = paths.sampled()
@@ -281,24 +282,25 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
     return Grippers(arrays)
 
 
-def _holds(path: TcpPath, begin: float) -> list[tuple[float, float]]:
+@lru_cache
+def _holds(events: tuple[GripperEvent, ...], begin: float) -> list[tuple[float, float]]:
     """When the tool closes and opens again, each time that it closes [s]."""
     found = []
-    for event in path.events:
+    for event in events:
         if event.closed:
-            opens = [e.time for e in path.events if not e.closed and e.time > event.time]
+            opens = [e.time for e in events if not e.closed and e.time > event.time]
             since = -math.inf if event.time <= begin else event.time
             found.append((since, min(opens, default=math.inf)))
     return found
 
 
 def middle_of(body: Body, x: Array) -> Array:
-    """[T, n, 3] a rope's centre line, or a cloth's middle surface, from all positions [T, N, 3] of
-    particles or points, or from a section's alone [m]."""
-    if x.shape[1] in (1, len(body.points)):
+    """[..., n, 3] a rope's centre line, or a cloth's middle surface, from all positions [..., N, 3]
+    of particles or points, or from a section's alone [m]."""
+    if x.shape[-2] in (1, len(body.points)):
         return x
     layers = body.section if body.kind == "rope" else _count_along(body, 2)
-    return x.reshape(len(x), -1, layers, 3).mean(axis=2)
+    return x.reshape(*x.shape[:-2], -1, layers, 3).mean(axis=-2)
 
 
 def _lattice(body: Body, points: int) -> tuple[int, int]:
