@@ -9,9 +9,10 @@ import pytest
 
 from gendom.estimation import LiftScene, replay
 from gendom.estimation.observed import SKIN_OF_THIN, NoiseModel, Observation
-from gendom.estimation.replay import HEM, WorldInputs, held_reach
+from gendom.estimation.replay import HEM, WorldInputs, held_reach, simulator_of
 from gendom.estimation.scene import STRETCH
 from gendom.materials.parameters import E_over_rho_of
+from gendom.sim import Simulator, Table
 from gendom.sim.lines import arc_length
 
 
@@ -44,6 +45,23 @@ def test_a_soft_rope_keeps_its_length(rope_lift, monkeypatch):
         hung = replay(scene, thetas)[-1, 0]
         longer = arc_length(hung)[-1] / rope_lift.object.length - 1.0
         assert 0.1 * most < longer < most
+
+
+def test_stiffness_along_a_thin_rope_makes_no_step_short(rope_lift):
+    """Steps are as long as those of a rope as thick as its edges are long, which is as stiff in
+    bending; it moves alike."""
+    thin = replace(rope_lift.object, diameter=0.002)
+    recording = replace(rope_lift.at_rest(6), object=thin)
+    scene = LiftScene.of(recording, rope_lift.settings).simulated_with(25)
+    bends = E_over_rho_of(0.5 * thin.length, 0.002 / 4.0, 9.81)
+    theta = rope_lift.truth.with_values({"E_over_rho": bends})
+    simulator, times = simulator_of(scene, [theta])
+    bare = replace(simulator.materials[0], membrane=None)
+    beside = Simulator(scene.body, [bare], grippers=[[WorldInputs.of(scene, theta).gripper(0)]],
+                       table=Table(height=0.0, friction=theta.friction),
+                       start_time=simulator.time)  # fmt: skip
+    assert simulator.substep[0] > 2.5 * beside.substep[0]
+    assert simulator.run(times)[-1, 0] == pytest.approx(beside.run(times)[-1, 0], abs=5e-4)
 
 
 @pytest.mark.parametrize("axis", [False, True])

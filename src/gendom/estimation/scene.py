@@ -1,7 +1,4 @@
-"""A `LiftScene`: everything about a recording that does not depend on unknown parameters.
-
-It is made once and never changed.
-"""
+"""A `LiftScene`: everything about a recording that does not depend on unknown parameters."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
-from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -48,10 +44,9 @@ SHELL_ERROR = 1.5
 
 STRETCH = 0.002
 """An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
-stiffness along it is limited to that. For a cloth this allows longer time steps: two to four times
-where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. A rope gets at least that stiffness: its
-fibres resist stretch more than bending, in which they slide past each other. With one E for both
-soft ropes stretch by up to 4 %, and their tails follow less over the table."""
+stiffness along it is limited to that, so that cloths' steps are two to four times as long. A rope
+gets at least that: fibres resist stretch more than bending, in which they slide past each other.
+With one E for both soft ropes stretch by up to 4 %, and their tails follow less over the table."""
 
 COARSE_POINTS, COARSE_FRAMES = {"rope": 17, "cloth": 21}, 18
 """Where a search begins: points of a rod, or along the longer side of a shell, and frames that are
@@ -97,7 +92,7 @@ class SceneSettings:
     fast_frames: int = 60
     """Frames that are compared elsewhere, at most."""
     dtype: str | None = None
-    """``float32`` or ``float64``; None: the first for cloths as shells, else the engine's own."""
+    """``float32`` or ``float64``; None: the first for rods and shells, else the engine's own."""
     substep: float | None = None
     """Of all worlds [s]; None: each its own. Then the number of substeps between two frames depends
     on E, and where it changes, positions jump by some 1e-7 m, which shows in exact clouds only."""
@@ -218,11 +213,9 @@ class LiftScene(Placed):
 
     @property
     def dtype(self) -> str | None:
-        """Of its simulation; None: the engine's own. Shells of ``float32`` take half the time;
-        they are 0.4 um off in the mean of a lift and 15 um at most."""
-        if self.settings.dtype is None and self.kind == "cloth" and self.thin:
-            return "float32"
-        return self.settings.dtype
+        """Of its simulation; None: the engine's own. Those of ``float32`` take half the time; they
+        are 0.8 um off in the mean of a lift and 15 um at most."""
+        return self.settings.dtype or ("float32" if self.thin else None)
 
     @property
     def quasi_static(self) -> bool:
@@ -497,6 +490,8 @@ def _between(t: Array, x: Array, fine: Array, *, captured: bool) -> Array:
         return CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))(fine)
     if np.median(np.diff(t)) < SPARSE:
         return PchipInterpolator(t, x, axis=0)(fine)
+    from scipy.ndimage import uniform_filter1d  # which takes long to import
+
     knots, x = with_corners(t, x)
     x = np.stack([np.interp(fine, knots, own) for own in x.T], axis=1)
     return uniform_filter1d(x, round(RAMP / PATH_STEP), axis=0, mode="nearest")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from gendom.arrays import Array
@@ -16,8 +18,9 @@ AHEAD = np.pi / 4.0
 """How far before a rope's middle a camera sees it, in half its thickness, in the mean."""
 
 
-STRAY, FEWEST = 0.02, 200
-"""Distance from a rope beyond which points are not its own [m], and how many show its breadth."""
+STRAY, FEWEST, ENOUGH = 0.02, 200, 2000
+"""Distance from a rope beyond which points are not its own [m], the fewest that show its breadth,
+and how many show it to 1 %."""
 
 
 def breadth_across(
@@ -47,11 +50,12 @@ def breadth_across(
         seen_by: [m] the one camera that saw each point, -1 where it is not known.
         rounds: Of expectation and maximisation.
     """
-    near = np.linalg.norm(points - feet, axis=1) < STRAY
-    if near.sum() < FEWEST:
+    near = np.flatnonzero(np.linalg.norm(points - feet, axis=1) < STRAY)
+    if len(near) < FEWEST:
         return None
+    near = near[:: math.ceil(len(near) / ENOUGH)]
+    camera = np.broadcast_to(seen_by, len(points))[near]
     points, feet, tangent = points[near], feet[near], tangent[near]
-    camera = np.broadcast_to(seen_by, near.shape)[near]
     tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
     off = points - feet
     view = feet - cameras[:, None]

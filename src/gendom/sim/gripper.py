@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.arguments import check_list, check_number, check_numbers, require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
+from gendom.sim.thin import rotation
 
 NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
 """Arrays that ``Grippers`` is not without."""
@@ -153,8 +153,7 @@ def _check_hold(hold_from: Any, hold_until: Any, shape: tuple[int, ...]) -> None
 
 def turns_of(q: Array) -> Array:
     """[..., K - 1, 3] rotation vectors from each orientation [..., K, 4] to the next [rad]."""
-    before, after = (Rotation.from_quat(k.reshape(-1, 4)) for k in (q[..., :-1, :], q[..., 1:, :]))
-    return (after * before.inv()).as_rotvec().reshape(*q.shape[:-2], -1, 3)
+    return rotation.vector(rotation.product(q[..., 1:, :], rotation.conjugate(q[..., :-1, :])))
 
 
 def of_worlds(name: str, given: Any, kind: type, worlds: int) -> list[Sequence[Any]]:

@@ -223,7 +223,7 @@ class Cut:
         by its corners: integrals of bilinear shape functions, the corner's row and column first."""
         self.cells = _merged(self.corners)
         """[rows - 1, columns - 1] share of each cell's area; 0: there is no cell."""
-        from scipy.ndimage import label  # takes long to import
+        from scipy.ndimage import label  # which takes long to import
 
         _, parts = label(self.cells > 0.0)  # pyright: ignore[reportGeneralTypeIssues]
         require(parts == 1, "the outline falls apart on this lattice", fix="more points")

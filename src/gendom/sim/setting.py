@@ -76,6 +76,8 @@ class Variation:
     straight by nature."""
     stretch: ArrayLike = 1.0
     """Length of a rod's edges over that in the body, one number or [W] [-]."""
+    turning: float = 1.0
+    """Rotary inertia of a rod's edges over that of stiff ones [-]: with more, steps are longer."""
     diameter: ArrayLike | None = None
     """Of rods that meet nothing, [W] [m]; None: that of the body."""
 
@@ -90,6 +92,7 @@ class Variation:
             check_numbers(name, getattr(self, name), *shapes, above=0.0)
         check_numbers("natural_curvature", self.natural_curvature, (), ("W",))
         check_numbers("stretch", self.stretch, (), ("W",), above=0.0)
+        check_number("turning", self.turning, above=0.0)
         if self.diameter is not None:
             check_numbers("diameter", self.diameter, ("W",), above=0.0)
 

@@ -291,6 +291,7 @@ def _check_fits(
         ("mass", None, thin, "rods and shells have points of other masses"),
         ("natural_curvature", None, rod, "rods may begin with stress"),
         ("stretch", None, rod, "rods may be longer than at rest"),
+        ("turning", variation.turning != 1.0, rod, "rods' edges turn"),
         ("diameter", variation.diameter is not None, rod, "rods differ in their diameter"),
         ("obstacles", meets, thin, "rods and shells meet obstacles"),
     ):

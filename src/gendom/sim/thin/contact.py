@@ -12,7 +12,6 @@ from scipy.spatial import KDTree
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
-from gendom.robot.collision import segments_apart
 from gendom.sim.setting import Setting, spread
 
 MARGIN_OF_LISTS = 0.3
@@ -64,6 +63,8 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
 
 def check_rope(x: Array, diameter: float, apart: int) -> None:
     """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart."""
+    from gendom.robot.collision import segments_apart  # with all of arms
+
     i, j = np.triu_indices(len(x) - 1, apart)
     if not len(i):
         return

@@ -94,6 +94,7 @@ class RodModel:
         """[n] length of rod represented by each point [m]."""
         self.tributary[:-1] += 0.5 * length
         self.tributary[1:] += 0.5 * length
+        self.turning = setting.variation.turning
         self.heavier = spread(setting.variation.mass, (W, n), "mass")
         """[W, n] mass of points over that of their material."""
         share = spread(setting.variation.stiffness, (W, n), "stiffness")
@@ -120,7 +121,7 @@ class RodModel:
         return Coefficients(
             stiffness=_moduli(p)[:, :, None] * self.shares,
             mass=mass * self.tributary * self.heavier,
-            inertia=p["density"] * length * turning,
+            inertia=self.turning * p["density"] * length * turning,
             drag=0.5 * DRAG["rope"] * p["thickness"] * self.tributary,
         )
 

@@ -7,17 +7,22 @@ from gendom.arrays import Array
 
 def product(a: Array, b: Array) -> Array:
     """Product a b [..., 4]: the rotation b followed by a."""
-    a0, a1, a2, a3 = np.moveaxis(a, -1, 0)
-    b0, b1, b2, b3 = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            a3 * b0 + b3 * a0 + a1 * b2 - a2 * b1,
-            a3 * b1 + b3 * a1 + a2 * b0 - a0 * b2,
-            a3 * b2 + b3 * a2 + a0 * b1 - a1 * b0,
-            a3 * b3 - a0 * b0 - a1 * b1 - a2 * b2,
-        ],
-        axis=-1,
-    )
+    a0, a1, a2, a3 = (a[..., k] for k in range(4))
+    b0, b1, b2, b3 = (b[..., k] for k in range(4))
+    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    found[..., 0] = a3 * b0 + b3 * a0 + a1 * b2 - a2 * b1
+    found[..., 1] = a3 * b1 + b3 * a1 + a2 * b0 - a0 * b2
+    found[..., 2] = a3 * b2 + b3 * a2 + a0 * b1 - a1 * b0
+    found[..., 3] = a3 * b3 - a0 * b0 - a1 * b1 - a2 * b2
+    return found
+
+
+def vector(q: Array) -> Array:
+    """Rotation vector [..., 3] of at most half a turn [rad]."""
+    q = np.where(q[..., 3:] < 0.0, -q, q)
+    size = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, q[..., 3:])
+    return np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0) * q[..., :3]
 
 
 def conjugate(q: Array) -> Array:
