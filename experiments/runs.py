@@ -87,11 +87,12 @@ class TrainingJob:
         training = replace(training, batch_size=size, epochs=epochs)
         return cls(demonstrations=demonstrations, training=training, **other)
 
-    def train(self, path: str) -> None:
-        """Train it and write its file."""
+    def train(self, path: str, device: str) -> None:
+        """Train it on a device and write its file."""
         from gendom.policies.training import train
 
-        train(self.demonstrations, path, self.training, finetune=self.finetune, world=self.world)
+        train(self.demonstrations, path, self.training, finetune=self.finetune, world=self.world,
+              device=device)  # fmt: skip
 
     def trained(self, path: Path) -> Policy | None:
         """The policy in a file if it was trained in this way."""
@@ -118,7 +119,7 @@ class Runs:
 
     folder: Path
     device: str = "cpu"
-    """Of our simulator."""
+    """Of our simulator and of training."""
     jobs: int = 1
     """Processes of the second reality, and trainings side by side."""
     seed: int = 0
@@ -171,7 +172,7 @@ class Runs:
         found = {name: job.trained(paths[name]) for name, job in jobs.items()}
         if missing := [name for name, policy in found.items() if policy is None]:
             _log.info("training %s", ", ".join(missing))
-            work = [(jobs[name], str(paths[name])) for name in missing]
+            work = [(jobs[name], str(paths[name]), self.device) for name in missing]
             for _ in self.each(_train, work, "training"):
                 pass
         return {name: found[name] or Policy.read(paths[name]) for name in jobs}
@@ -279,8 +280,9 @@ class Runs:
         return self.folder / f"{slug}{suffix}"
 
 
-def _train(work: tuple[TrainingJob, str]) -> None:
-    work[0].train(work[1])
+def _train(work: tuple[TrainingJob, str, str]) -> None:
+    job, *where = work
+    job.train(*where)
 
 
 def _thinned(recording: Recording, most: int, seed: int) -> Recording:

@@ -68,7 +68,7 @@ TOLERANCE = 1e-4
 LEAST_GAIN = 0.02
 """Share of the mean square below which a step gained too little for another."""
 
-RISK_MARGIN, RISK_WEIGHT = 0.7, 0.1
+RISK_MARGIN, RISK_WEIGHT = 0.7, 0.003
 """Share of the task's risk limit that is not punished, and what a risk beyond that counts, for each
 of its limit [units of similarity]."""
 

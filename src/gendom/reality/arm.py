@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -94,19 +94,19 @@ class RobotArm:
         self._v = np.array([int(j.dofadr[0]) for j in joints])
         data.qpos[self._q] = self.motion.at(0.0)
 
-    def control(self, data: Any, time: float) -> None:
-        """Set the servos' targets for a time [s], one step from now."""
-        model = self._model
-        step = model.opt.timestep
-        before, now, then = self.motion.at(time - step * np.array([2.0, 1.0, 0.0]))
-        # Speeds and accelerations of the steps, not of the motion: those lead to its angles.
-        data.ctrl[0::2] = then
-        data.ctrl[1::2] = (then - now) / step
+    def control(self, data: Any, times: Array) -> Iterator[None]:
+        """Set the servos' targets before each of the steps that end at times [n] [s]."""
+        model, step, own = self._model, self._model.opt.timestep, self._v
         acceleration, torque = np.zeros(model.nv), np.zeros(model.nv)
-        acceleration[self._v] = (then - 2.0 * now + before) / step**2
-        self._mujoco.mj_mulM(model, data, torque, acceleration)
-        torque += data.qfrc_bias - data.qfrc_gravcomp
-        data.qfrc_applied[self._v] = torque[self._v]
+        # Speeds and accelerations of the steps, not of the motion: those lead to its angles.
+        for before, now, then in self.motion.at(times[:, None] - step * np.array([2.0, 1.0, 0.0])):
+            data.ctrl[0::2] = then
+            data.ctrl[1::2] = (then - now) / step
+            acceleration[own] = (then - 2.0 * now + before) / step**2
+            self._mujoco.mj_mulM(model, data, torque, acceleration)
+            torque += data.qfrc_bias - data.qfrc_gravcomp
+            data.qfrc_applied[own] = torque[own]
+            yield
 
     def measured(self, data: Any) -> Array:
         """[J] joint angles as the encoders have them [rad]."""

@@ -19,47 +19,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from gendom.arrays import Array
 from gendom.reality.objects import RealRope
-
-_ONE = np.eye(3)
-_CROSS = np.swapaxes(np.cross(_ONE[:, None], _ONE[None]), 1, 2).reshape(3, 9)  # b @ it: b x
 
 
 def torsion_rigidity(rope: RealRope) -> float:
     """GJ of a round section [N m^2]: E / (2 (1 + nu)) pi d^4 / 32."""
     G = rope.material.E / (2.0 * (1.0 + rope.material.nu))
     return G * math.pi * rope.diameter**4 / 32.0
-
-
-def transported(edges: Array, director: npt.ArrayLike) -> Array:
-    """A director [3] of the first edge, carried to the last one without twist.
-
-    Args:
-        edges: [n, 3] along the rod [m].
-        director: [3] at right angles to the first edge; what is along it does not count.
-    """
-    t = edges / np.sqrt(np.einsum("ij,ij->i", edges, edges))[:, None]
-    u = np.asarray(director, dtype=float)
-    u = u - (u @ t[0]) * t[0]
-    # From edge to edge the least turn: about their binormal b, R = c 1 + [b] + b b^T / (1 + c).
-    cosine = np.einsum("ij,ij->i", t[:-1], t[1:])
-    binormal = cross(t[:-1], t[1:])
-    turns = (binormal / (1.0 + cosine)[:, None])[:, :, None] * binormal[:, None, :]
-    turns += cosine[:, None, None] * _ONE + (binormal @ _CROSS).reshape(-1, 3, 3)
-    while len(turns) > 1:
-        odd = turns[-1:] if len(turns) % 2 else turns[:0]
-        turns = np.concatenate([turns[1::2] @ turns[: len(turns) - len(odd) : 2], odd])
-    for turn in turns:
-        u = turn @ u
-    return u / math.sqrt(u @ u)
-
-
-def cross(a: Array, b: Array) -> Array:
-    """a x b [..., 3], several times as fast as NumPy's."""
-    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
 class Twist:
@@ -74,17 +42,30 @@ class Twist:
     """
 
     def __init__(self, rope: RealRope, vertices: Array, first: int, last: int, rotation: Array):
-        self._first, self._last = first, last
-        edges = self._edges(vertices)
+        from gendom.reality.kernels import bound, twist  # Warp, which takes long to import
+
+        self._held = slice(first, last + 2)
+        x = vertices[self._held]
+        edges = np.diff(x, axis=0)
         length = np.linalg.norm(edges, axis=1)
         # Half of each clamped edge belongs to its vertex between the clamps.
-        self._stiffness = torsion_rigidity(rope) / (length.sum() - 0.5 * (length[0] + length[-1]))
-        self._damping = rope.material.damping
+        stiffness = torsion_rigidity(rope) / (length.sum() - 0.5 * (length[0] + length[-1]))
+        self._lag = stiffness * rope.material.damping
         t = edges[0] / length[0]
-        self._start = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])
-        self._end = rotation.T @ transported(edges, self._start)
-        self.angle = 0.0
+        start = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])
+        self._x, self._forces, self._moment = x.copy(), np.zeros_like(vertices), np.zeros((1, 3))
+        self._clamp = np.array([start, start, start])
+        self._numbers = np.array([stiffness, 0.0, 0.0])
+        own = self._x, self._clamp, self._numbers, self._forces[self._held], self._moment
+        self._twist = bound(twist, *own)
+        self._twist.launch()
+        self._end = rotation.T @ self._clamp[2]
+        self._numbers[2] = 0.0
+
+    @property
+    def angle(self) -> float:
         """Now [rad]; it may pass several turns."""
+        return float(self._numbers[2])
 
     def load(self, vertices: Array, rotation: Array, seconds: float) -> tuple[Array, Array]:
         """Forces [V, 3] on the vertices now [N], and the moment [3] on the last clamp [N m].
@@ -94,25 +75,9 @@ class Twist:
             rotation: [3, 3] of the second clamp.
             seconds: Since the last call [s].
         """
-        edges = self._edges(vertices)
-        length = np.sqrt(np.einsum("ij,ij->i", edges, edges))
-        along = edges[-1] / length[-1]
-        u, end = transported(edges, self._start), rotation @ self._end
-        angle = math.atan2(float(cross(u, end) @ along), float(u @ end))
-        angle += 2.0 * math.pi * round((self.angle - angle) / (2.0 * math.pi))
-        rate = (angle - self.angle) / seconds
-        self.angle = angle
-        moment = self._stiffness * (angle + self._damping * rate)
-        # how the twist changes with the vertices [rad/m]
-        a, b = edges[:-1], edges[1:]
-        half = cross(a, b) / (length[:-1] * length[1:] + np.einsum("ij,ij->i", a, b))[:, None]
-        before, after = -half / length[:-1, None], half / length[1:, None]
-        forces = np.zeros_like(vertices)
-        held = forces[self._first : self._last + 2]
-        held[:-2] -= moment * before
-        held[2:] -= moment * after
-        held[1:-1] += moment * (before + after)
-        return forces, -moment * along
-
-    def _edges(self, vertices: Array) -> Array:
-        return np.diff(vertices[self._first : self._last + 2], axis=0)
+        self._x[:] = vertices[self._held]
+        self._clamp[1] = rotation @ self._end
+        self._numbers[1] = self._lag / seconds
+        self._forces[:] = 0.0
+        self._twist.launch()
+        return self._forces.copy(), self._moment[0].copy()
