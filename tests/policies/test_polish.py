@@ -56,7 +56,7 @@ def test_a_goal_is_not_given_up_to_sway_less():
     item, shipped = OBJECTS["rope-polyethylene"], Policy.pretrained("rope-reaching")
     task, start = shipped.task(), list(shipped.act([0.38], item, force=True).values)
     found = polish(task, 0.38, Estimate.of(item), start, seconds=300.0)
-    polished, first = Simulation().carry_out(task, [item, item], [found.action, start])
+    polished, first = Simulation().carry_out(task, [item, item], np.array([found.action, start]))
     assert abs(polished.values["x"] - 0.38) < 1e-3 < abs(first.values["x"] - 0.38)
 
 
