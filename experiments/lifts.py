@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.runs import Runs
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.estimation import UNKNOWNS, EstimateSettings, SceneSettings
 from gendom.estimation.lift_plan import CLOUD_POINTS
@@ -110,8 +111,12 @@ def soften(run: TrialRun, degrees: float) -> None:
     most = min(0.5 * weight * rope.length**2, math.sqrt(2.0 * EI * weight * rope.length))
     control, turn, first = world.robot.control, np.zeros(3), {}
 
-    def yielding(data: Any, time: float) -> None:
-        control(data, time)
+    def yielding(data: Any, times: Array) -> Iterator[None]:
+        for _ in control(data, times):
+            give_way(data)
+            yield
+
+    def give_way(data: Any) -> None:
         held = world.held
         if len(held) < 2:
             return

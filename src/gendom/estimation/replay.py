@@ -182,8 +182,11 @@ class WorldInputs:
             warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
         elif scene.thin:
-            thick = EDGES * scene.body.thickness / scene.size
-            more = {"membrane": max(along, min(1.0, thick**2) * E)}
+            most = E * min(1.0, EDGES * scene.body.thickness / scene.size) ** 2
+            if max(along, most) != E:
+                more = {
+                    "membrane": max(along, most)
+                }  # fibres, which slide past each other in bending
         nu, damping = self.theta.nu, self.theta.damping
         return Material(E=E, nu=nu, density=scene.density, damping=damping, **more)
 
