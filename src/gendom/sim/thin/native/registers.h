@@ -1,6 +1,6 @@
 // A rod without contact with itself whose state is in the registers of a CUDA warp: K points a thread, and what
 // neighbours share goes from thread to thread. What stays as it is, and where grippers are next, is in shared memory.
-// On the CPU, for tests, one thread has all K points.
+// CPUs only read this file.
 
 namespace gendom {
 
