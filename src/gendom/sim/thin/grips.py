@@ -291,9 +291,8 @@ class Ties:
         """Let worlds [k] hold ``holds`` [k, G, n], with places [k, G, 3, n]."""
         for p, pair in enumerate(self._pairs):
             # the few ways of holding
-            ways = np.unique(holds[:, pair].reshape(len(worlds), -1), axis=0, return_inverse=True)[
-                1
-            ]
+            rows = holds[:, pair].reshape(len(worlds), -1)
+            _, ways = np.unique(rows, axis=0, return_inverse=True)
             for way in range(ways.max() + 1):
                 some = np.flatnonzero(ways.reshape(-1) == way)
                 i, j = map(np.flatnonzero, holds[some[0], pair] & 1)
