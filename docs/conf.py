@@ -83,13 +83,15 @@ nitpick_ignore_regex = [("py:.*", r"(?!gendom\.).*")]  # types of other packages
 
 def public_names() -> dict[str, str]:
     """The names under which public objects are documented, by the places that define them."""
-    names = {f"gendom.{name}": f"gendom.{room}.{name}" for name, room in gendom._EXPORTS.items()}
-    for package in PACKAGES:
+    names: dict[str, str] = {}
+    for package in (*PACKAGES, "gendom"):
         module = import_module(package)
         for name in module.__all__:
-            defined = getattr(getattr(module, name), "__module__", None)
-            if defined is not None:
-                names.setdefault(f"{defined}.{name}", f"{package}.{name}")
+            place = f"{getattr(getattr(module, name), '__module__', None)}.{name}"
+            if package == "gendom":  # it has no page
+                names[f"gendom.{name}"] = names.get(place, place)
+            elif not place.startswith("None."):
+                names.setdefault(place, f"{package}.{name}")
     return names
 
 

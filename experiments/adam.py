@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.evolution import finished, only_part
+from experiments.skins import surface_transpose
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
@@ -158,7 +159,7 @@ class DensityLoss:
         """That, and its derivative by the positions [T, N, 3] [1/m]."""
         value, bar = self._compare(self.shown(x), seen, derivative=True)
         if self.part.observation.markers is None:
-            return value, self.part.scene.body.surface_transpose(x, bar)
+            return value, surface_transpose(self.part.scene.body, x, bar)
         index, weight = self.part.observation.markers
         of_middle = np.zeros((len(lattice(self.part.scene)[0]), len(x), 3))
         for k, share in zip(index.T, weight.T, strict=True):

@@ -63,15 +63,14 @@ class SoftwareCamera:
             sensor.on_video_frame(frame)
 
 
-def connected(software, **other):
+def connected(software, **settings):
     """A connected `RealSenseCamera` of a software device."""
     camera = software.camera
     described = CellCamera(
         name=camera.name, device="realsense", serial="", T_world_camera=camera.T_world_camera
     )
-    live = RealSenseCamera(
-        described, width=camera.width, height=camera.height, device=software.device, **other
-    )
+    live = RealSenseCamera(described, device=software.device)
+    vars(live).update(mode=(camera.width, camera.height, 30), **settings)
     live.connect()
     return live
 
@@ -80,7 +79,8 @@ def connected(software, **other):
 def recording(folder, camera, *, coloured=True, compress=True):
     """Gives a function (time [s], pictures) that writes a frame of folder/recording.db3."""
     software = SoftwareCamera(camera, coloured=coloured)
-    live = connected(software, colour=coloured, compress=compress)
+    kinds = ("depth", "color") if coloured else ("depth",)
+    live = connected(software, kinds=kinds, compress=compress)
     live.start_recording(folder)
     count = 0
 

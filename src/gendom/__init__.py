@@ -25,27 +25,14 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-# Public names by room, as above and in `__all__`.
-_ROOMS = {
-    "datasets": ("Fault", "ObjectDescription", "Recording"),
-    "errors": ("GendomError",),
-    "estimation": ("Estimate", "EstimateSettings", "SceneSettings", "estimate", "replay"),
-    "materials": ("Cloth", "Material", "Rope"),
-    "policies": ("Policy",),
-    "sim": ("Simulator",),
-    "tasks": ("ClothSpreading", "RopeCasting", "RopeReaching"),
-}
-_EXPORTS = {name: room for room, names in _ROOMS.items() for name in names}
-
 __all__ = [
     "Cloth", "ClothSpreading", "Estimate", "EstimateSettings", "Fault", "GendomError", "Material",
     "ObjectDescription", "Policy", "Recording", "Rope", "RopeCasting", "RopeReaching",
     "SceneSettings", "Simulator", "__version__", "estimate", "replay",
 ]  # fmt: skip
 
-
-__getattr__ = imported_later(__name__, _EXPORTS)
+__getattr__ = imported_later(__name__)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_EXPORTS})
+    return sorted({*globals(), *__all__})

@@ -1,7 +1,5 @@
 """Files and folders that are either whole or absent, and JSON that every reader understands."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math
@@ -13,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from datetime import date, time
-from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -156,7 +153,7 @@ def _beside(path: Path) -> Iterator[Path]:
 def to_json(value: Any) -> str:
     """`value` as indented JSON text.
 
-    Besides what JSON knows, takes dataclasses, enums, paths, dates and NumPy scalars and arrays.
+    Besides what JSON knows, takes dataclasses, paths, dates and NumPy scalars and arrays.
 
     Raises:
         GendomError: A number is NaN or infinite (JSON has neither; the message names its
@@ -184,8 +181,6 @@ def _plain(value: Any, where: str) -> Any:
     """`value` made of dict, list, str, int, float, bool and None only."""
     if value is None or isinstance(value, (bool, str)):
         return value
-    if isinstance(value, Enum):
-        return _plain(value.value, where)
     if isinstance(value, int):
         return int(value)
     if isinstance(value, float):

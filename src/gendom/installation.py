@@ -1,7 +1,5 @@
 """Whether this package runs from a clone, its version, and how to install an extra."""
 
-from __future__ import annotations
-
 import logging
 import os
 import subprocess

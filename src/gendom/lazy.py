@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def imported_later(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
-    """A package's ``__getattr__``: it imports a name from the module of the package that defines
-    it, and keeps it there.
+def imported_later(package: str) -> Callable[[str], Any]:
+    """A package's ``__getattr__``: it imports a name from where the package's file imports it for
+    type checkers alone, ``if TYPE_CHECKING``, and keeps it there."""
 
-    Args:
-        package: Its name.
-        modules: The module of each name.
-    """
+    @cache
+    def modules() -> dict[str, str]:
+        """The module of each name."""
+        tree = ast.parse(Path(str(own.__file__)).read_bytes())
+        inner = [n for block in tree.body if isinstance(block, ast.If) for n in block.body]
+        lines = [n for n in inner if isinstance(n, ast.ImportFrom)]
+        return {alias.name: str(line.module) for line in lines for alias in line.names}
+
+    own = sys.modules[package]
 
     def get(name: str) -> Any:
-        if name not in modules:
+        if name not in modules():
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{package}.{modules[name]}"), name)
-        setattr(sys.modules[package], name, value)
+        value = getattr(import_module(modules()[name]), name)
+        setattr(own, name, value)
         return value
 
     return get

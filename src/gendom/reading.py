@@ -7,8 +7,6 @@ In all functions `error` is the class that is raised for every fault, and `where
 the place of what was read.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io
@@ -164,15 +162,20 @@ def decoded(data: bytes, errors: str = "strict") -> str:
     return data.decode("utf-16" if wide else "utf-8-sig", errors)
 
 
-def read_json(path: str | os.PathLike, error: type[GendomError] = GendomError) -> dict[str, Any]:
+def read_json(
+    path: str | os.PathLike, error: type[GendomError] = GendomError, **fix: str
+) -> dict[str, Any]:
     """The JSON object in `path`; errors as of `read_bytes` and `parse_json`."""
-    return parse_json(read_bytes(path, error, most=LARGEST_JSON), str(path), error)
+    return parse_json(read_bytes(path, error, most=LARGEST_JSON), str(path), error, **fix)
 
 
 def parse_json(
-    content: bytes | str, where: str, error: type[GendomError] = GendomError
+    content: bytes | str,
+    where: str,
+    error: type[GendomError] = GendomError,
+    fix: str = "write the file again",
 ) -> dict[str, Any]:
-    """The object that JSON text holds.
+    """The object that JSON text holds; `fix` is what to do where it is no JSON.
 
     Raises:
         GendomError: As `error`: it is no JSON or no object, is nested too deep, or has a number
@@ -186,9 +189,9 @@ def parse_json(
         _check_tree(value, finite=True)
     except json.JSONDecodeError as fault:
         what = f"is not JSON ({fault.msg} in line {fault.lineno})"
-        raise error(what, where=where, fix="write the file again") from None
+        raise error(what, where=where, fix=fix) from None
     except (ValueError, RecursionError) as fault:  # not UTF-8, NaN, or `_check_tree`
-        raise error(f"is not JSON ({fault})", where=where, fix="write the file again") from None
+        raise error(f"is not JSON ({fault})", where=where, fix=fix) from None
     return value
 
 

@@ -2,6 +2,7 @@
 
 import shlex
 from dataclasses import replace
+from importlib import resources
 
 import pytest
 
@@ -26,6 +27,7 @@ estimate x --level=q | estimate: --level: is 'q'; give a number
 estimate x --cells_across q | estimate: --cells-across: is 'q'; give a number
 perceive x --colour 1 2 | perceive: --colour: is '1 2'; give 3 whole numbers
 act rope-casting --goal a b | act: --goal: is 'a b'; give numbers
+dataset rope-casting --size 1 --out x --range nu 1 | is 'nu 1'; give a word, a number, a number
 estimate x --frames lst | estimate: --frames: is 'lst'; did you mean 'last'?
 estimate x --frames q | estimate: --frames: is 'q'; choose all, last
 estimate x --camera-pose q | estimate: --camera-pose: is 'q'; choose stated, unknown
@@ -62,6 +64,10 @@ record --reality rope-cotton --motion throw.json --out new | end is 'throw'
 record --reality rope-cotton --motion sheet.json --out new | is for a cloth, and rope-cotton is
 record --reality rope-cotton --motion high.json --end drop --out new | leave out --rise and --end
 act rope-casting --goal 0.3 0.4 --params nothing.json | nothing was estimated: no frame holds
+act rope-casting --goal 0.3 0.4 --params lift.npz | give a file written by gendom estimate
+act rope-casting --goal 0.3 0.4 --thickness 0.01 | --thickness: a rope has no thickness
+evaluate rope-casting --policy reaching.onnx | is for rope-reaching; use a policy for rope-casting
+check lift.npz --bending-length 0.1 | give a file written by gendom estimate
 plan-lift rope --length 0.3 | lacks the rope's diameter; give --diameter in metres
 plan-lift rope --side 0.3 | --side: a rope has no side; give --length and --diameter
 plan-lift rope --length 1 2 3 | --length: has 3 numbers; give one, or from and to
@@ -132,6 +138,8 @@ def place(rope_lift, tmp_path_factory):
     (folder / "file.npz").write_bytes(b"nothing")
     (folder / "folder.html").mkdir()
     (folder / "loop").symlink_to("loop")
+    shipped = resources.files("gendom") / "assets" / "rope-reaching.onnx"
+    (folder / "reaching.onnx").write_bytes(shipped.read_bytes())
     for name, content in MOTIONS.items():
         write_json(folder / f"{name}.json", {"format": "gendom-motion/1", "lift": content})
     verdict = {"usable": False, "reasons": ["no frame holds a point"]}

@@ -164,23 +164,6 @@ def test_one_wrong_pose_of_twelve_is_outvoted_and_named(world, T):
     assert found.outliers == ["picture 7"]
 
 
-def test_the_same_as_kinhec(world):
-    """Poses with errors of an arm; another program's least squares over poses, not corners."""
-    solvers = pytest.importorskip("kinhec.solvers", reason="needs kinhec: the extra dev")
-    camera, rng = world.make_camera(), np.random.default_rng(0)
-    views, hold = exact_views(camera, good_tilts(20), 0.05)
-    poses = np.stack([view.T_world_gripper for view in views])
-    seen = np.linalg.inv(camera.T_world_camera) @ poses @ hold
-    off = (transform(rng.normal(0, 0.03, 3), rng.normal(0, 3e-4, 3)) for _ in views)
-    views = [moved(view, T) for view, T in zip(views, off, strict=True)]
-    poses = np.stack([view.T_world_gripper for view in views])
-    X, Y = solvers.refine_lm_axyb(poses, seen, *solvers.shah(poses, seen))
-    found = calibrate(camera, views)
-    apart = error_of(found.T_world_camera, camera.at(Y))
-    assert apart[0] < found.error_position < 4e-3 and apart[1] < min(found.error_angle, 0.1)
-    np.testing.assert_allclose(found.T_gripper_board, X, atol=2e-3)
-
-
 @pytest.mark.parametrize(
     ("tilts", "noise", "line"),
     [

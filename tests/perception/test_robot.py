@@ -95,8 +95,8 @@ def test_fingers_are_open_by_the_object(seen, folder):
     capsules = read_cameras(folder).capsules
     assert capsules is not None
     expected = arm_shape(XARM7, motion.at(0.0), DIAMETER)
-    np.testing.assert_allclose(capsules.at(0.0).start, expected.start, atol=1e-4)
-    assert sorted({*capsules.largest_margin}) == [FINGER_MARGIN, np.inf]
+    np.testing.assert_allclose(capsules(0.0).start, expected.start, atol=1e-4)
+    assert sorted({*capsules(0.0).largest_margin}) == [FINGER_MARGIN, np.inf]
 
 
 def test_bad_joints_are_told(seen, folder):

@@ -234,7 +234,7 @@ def test_joint_states_tell_the_robots_shape(bag, tmp_path):
     settings = RosSettings(gripper="tool")
     found = read_ros_cameras(path, tmp_path / "object.toml", settings).capsules
     assert found is not None
-    here, there = found.at(START + 0.05), arm_shape(XARM7, q[None], np.array([0.01]))
+    here, there = found(START + 0.05), arm_shape(XARM7, q[None], np.array([0.01]))
     np.testing.assert_allclose(here.start, there.start[0], atol=1e-9)
 
 

@@ -80,17 +80,3 @@ def test_surface_of_a_rope_is_its_skin():
     assert np.hypot(flat, height) == pytest.approx(0.01, abs=1e-5)
     turn = np.arctan2(height, flat)
     assert np.histogram(turn, bins=6, range=(-np.pi, np.pi))[0].min() > 0.1 * len(skin)
-
-
-@pytest.mark.parametrize("particles", [False, True])
-def test_surface_transpose_of_a_rope(particles):
-    """<bar, d skin> = <transpose bar, d x> for a bent rope, as a rod and as particles."""
-    rng = np.random.default_rng(0)
-    body = rope(diameter=0.02, length=0.3, direction=(1, 2, 0.3), cells_across=1.0, points=9)
-    x = (body.x if particles else body.points) + 0.003 * rng.normal(
-        size=(2, body.num_particles if particles else 9, 3)
-    )
-    bar, v, h = rng.normal(size=body.surface(x).shape), rng.normal(size=x.shape), 1e-7
-    ahead, behind = (body.surface(x + s * h * v) for s in (1.0, -1.0))
-    expected = ((ahead - behind) * bar).sum() / (2.0 * h)
-    assert (body.surface_transpose(x, bar) * v).sum() == pytest.approx(expected, rel=1e-6)

@@ -142,7 +142,7 @@ def test_draws_are_variants_for_randomisation(tmp_path, estimate):
     [
         (["cotton-rop", "--to", "usd"], "cotton-rop: is no file and no material; did you mean"),
         (["cotton-rope", "--to", "usd"], "a material has no length; give --length in metres"),
-        ([*COTTON, "--side", "0.3", "--to", "usd"], "which has no side; give --length and"),
+        ([*COTTON, "--side", "0.3", "--to", "usd"], "--side: a rope has no side; give --length"),
         ([*COTTON, "--to", "usd", "--draws", "2"], "--draws: needs an estimate"),
     ],
 )

@@ -43,7 +43,7 @@ COMMANDS = {
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the shipped policies"),
     "materials": ("gendom.cli.materials", "ropes, cables and cloths with parameters and sources"),
-    "twin": ("gendom.cli.twin", "the estimated object for MuJoCo, Newton or USD"),
+    "twin": ("gendom.cli.twin", "the estimated object for MuJoCo, Newton, Genesis or USD"),
     "doctor": ("gendom.cli.doctor", "what lies there, what is wrong with it, the next command"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli.arguments import Engine, Json, Seed, TaskName
+from gendom.cli.arguments import Engine, Json, Seed, TaskName, policy_for
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.errors import RobotError, printable
@@ -82,7 +82,7 @@ class Command(KnownObject):
     def run(self) -> int:
         check_places((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
         cell = replace(BARE, arm=self.arm) if self.cell is None else Cell.read(self.cell)
-        policy = self._policy()
+        policy = policy_for(self.task, self.policy)
         task = policy.task()
         held = self.held(task, needs=policy.description.conditioned_on)
         item = for_task(held, task).item
@@ -127,20 +127,6 @@ class Command(KnownObject):
     def world(self) -> Simulation:
         """In which actions are polished and predicted."""
         return Simulation(engine=self.engine)
-
-    def _policy(self) -> Policy:
-        """The policy of the flags, for the task.
-
-        Raises:
-            GendomError: There is none, or it is for another task.
-        """
-        if self.policy is None:
-            return Policy.pretrained(self.task, parameters=True)
-        policy = Policy.read(self.policy)
-        own = policy.task().name
-        fix = f"use a policy for {self.task}, or give {own} as the task"
-        require(own == self.task, f"is for {own}", where=policy.where, fix=fix)
-        return policy
 
     def _followed(
         self, path: TcpPath, opening: float, hangs: float, warnings: list[str], cell: Cell
@@ -233,7 +219,7 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     rows = [
         (held["kind"], size),
         ("inputs", "of the policy, dimensionless" if inputs else "no parameters"),
-        *[("", f"{n:<13}  {v:<8.4g} {PARAMETERS[n].meaning}") for n, v in inputs.items()],
+        *[("", f"{n:<15}  {v:<8.4g} {PARAMETERS[n].meaning}") for n, v in inputs.items()],
         ("goal", ", ".join(_with_unit(n, v, units) for n, v in goal) or "none"),
         ("action", ", ".join(_with_unit(n, v, units, ".4f") for n, v in action)),
     ]

@@ -1,7 +1,5 @@
 """`gendom adapt`: learn an object's parameters from what actions have reached."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gendom.estimation import Progress
     from gendom.materials import Item
     from gendom.perception import RosSettings
+    from gendom.policies import Policy
     from gendom.tasks.task import World
 
 Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
@@ -64,6 +65,30 @@ def refuse_bag_flags(source: Path, settings: RosSettings, **others: Any) -> None
     given = [f"--{flag}" for flag, value in {**vars(settings), **others}.items() if value]
     what, where = f"{source} is no ROS bag", next(iter(given), None)
     require(not given, what, where=where, fix="leave it out")
+
+
+def refuse_sizes(kind: str, given: Iterable[str]) -> None:
+    """Refuse flags of sizes that objects of a kind do not have."""
+    from gendom.materials import KINDS
+
+    own = KINDS[kind].sizes
+    others = sorted({name for of in KINDS.values() for name in of.sizes} & {*given} - {*own})
+    what, fix = f"a {kind} has no {' and no '.join(others)}", f"give --{own[0]} and --{own[1]}"
+    require(not others, what, where=f"--{', --'.join(others)}", fix=fix)
+
+
+def policy_for(task: str, path: Path | None) -> Policy:
+    """The policy in a file, by default the shipped one, for a task.
+
+    Raises:
+        GendomError: There is none, or it is for another task.
+    """
+    from gendom.policies import Policy
+
+    policy = Policy.pretrained(task, parameters=True) if path is None else Policy.read(path)
+    own = policy.task().name
+    require(own == task, f"is for {own}", policy.where, f"use a policy for {task}, or give {own}")
+    return policy
 
 
 def _tasks() -> str:

@@ -4,8 +4,6 @@ A point-step is one point of a rod, or one particle of the MPM, taken through on
 paths, contact and recording are included; compiling kernels is not.
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 import math

@@ -1,7 +1,5 @@
 """`gendom calibrate`: where a camera stands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

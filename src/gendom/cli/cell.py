@@ -1,7 +1,5 @@
 """`gendom cell`: check a cell's description, and draw it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal

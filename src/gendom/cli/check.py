@@ -1,8 +1,6 @@
 """`gendom check`: what `gendom doctor` finds, without its picture; and an estimate beside what is
 known of the object."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +51,7 @@ def compared(place: Path, measured: float, *, json: bool) -> int:
     """Print an estimate's bending length beside a measured one; the exit code.
 
     Args:
-        place: File of an estimate that is usable.
+        place: File of an estimate that is usable, or its folder.
         measured: Bending length (E I / weight per length)^(1/3) [m].
 
     Raises:
@@ -61,6 +59,7 @@ def compared(place: Path, measured: float, *, json: bool) -> int:
     """
     fix = "give metres"
     require(0.0 < measured < math.inf, f"is {measured:g}", where="--bending-length", fix=fix)
+    place = place / "estimate.json" if place.is_dir() else place
     found = Estimate.load(place, even_unusable=False)
     ends = found.interval("bending_length")
     if ends is None:

@@ -1,7 +1,5 @@
 """`gendom completion`: a script that completes commands and flags in a shell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Annotated, Any, Literal, Union

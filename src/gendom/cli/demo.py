@@ -1,7 +1,5 @@
 """`gendom demo`: from recorded lifts of three ropes to actions carried out, and a report."""
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`gendom doctor`: what lies in a file or folder, what is wrong with it, and the next command."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,13 +1,11 @@
 """`gendom evaluate`: measure how well policies reach their goals."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gendom.cli.arguments import Device, Engine, Json, Seed, TaskName, Where
+from gendom.cli.arguments import Device, Engine, Json, Seed, TaskName, Where, policy_for
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.policies import Policy
@@ -40,7 +38,7 @@ class Command(Where):
 
     def run(self) -> int:
         began = time.monotonic()
-        policies = [Policy.read(path) for path in self.policy]
+        policies = [policy_for(self.task, path) for path in self.policy]
         for sees in (True, False) if not policies else ():
             if sees or Policy.ships(self.task, parameters=sees):
                 policies.append(Policy.pretrained(self.task, parameters=sees))

@@ -1,7 +1,5 @@
 """`gendom execute`: carry out a planned action on a robot."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`gendom export`: demonstrations or a recording in another project's format."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`gendom import`: a recording of another format, or a ROS bag, as a gendom-recording/1 file."""
 
-from __future__ import annotations
-
 import operator
 from dataclasses import dataclass, field
 from pathlib import Path

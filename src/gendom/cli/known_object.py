@@ -1,12 +1,11 @@
 """The object that an action is for, from an estimate's file and flags."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from gendom.arguments import require
+from gendom.cli.arguments import refuse_sizes
 from gendom.errors import GendomError
 from gendom.materials import KINDS, PARAMETERS
 from gendom.materials.estimate import Estimate
@@ -54,6 +53,9 @@ class KnownObject:
         Raises:
             GendomError: The file cannot be used, or something that is needed is missing.
         """
+        numbers = {f.name for f in fields(KnownObject)} - {"params", "force"}
+        given = {n: v for n, v in vars(self).items() if n in numbers and v is not None}
+        refuse_sizes(task.kind, given)
         found = Estimate(kind=task.kind, known={})
         where = None if self.params is None else str(self.params)
         if self.params is not None:
@@ -61,8 +63,6 @@ class KnownObject:
             what = f"describes a {found.kind}, the task needs a {task.kind}"
             fix = f"give the estimate of a {task.kind}"
             require(found.kind == task.kind, what, where=where, fix=fix, error=GendomError)
-        numbers = {f.name for f in fields(KnownObject)} - {"params", "force"}
-        given = {n: v for n, v in vars(self).items() if n in numbers and v is not None}
         for name, value in given.items():
             require(math.isfinite(value), f"is {value}", where=f"--{name}", fix="give a number")
         found = found.with_known(given)

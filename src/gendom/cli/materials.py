@@ -1,7 +1,5 @@
 """`gendom materials`: what ropes, cables and cloths have, with sources."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated

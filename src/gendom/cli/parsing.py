@@ -1,7 +1,5 @@
 """Parse words into a command with tyro; each refusal is one line."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import io
@@ -202,8 +200,12 @@ def _wanted(kind: Any) -> str:
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, inner))}"
     if get_origin(kind) is tuple:
-        noun = _KINDS.get(inner[0], "word")
-        return f"{noun}s" if ... in get_args(kind) else f"{len(inner)} {noun}s"
+        if get_origin(inner[0]) is tuple:
+            return _wanted(inner[0])
+        nouns = [_KINDS.get(each, "word") for each in inner]
+        if len({*nouns}) > 1:
+            return f"a {', a '.join(nouns)}"
+        return f"{nouns[0]}s" if ... in get_args(kind) else f"{len(inner)} {nouns[0]}s"
     if inner:  # annotated, or optional
         names = [m.metavar for m in inner[1:] if isinstance(getattr(m, "metavar", None), str)]
         return names[0] if names else _wanted(inner[0])

@@ -1,7 +1,5 @@
 """`gendom perceive`: from depth pictures or a ROS bag to a recording."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`gendom plan-lift`: which lift shows an object's parameters best."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import Json
+from gendom.cli.arguments import Json, refuse_sizes
 from gendom.cli.outputs import check_places, columns, tell_written, write_result
 from gendom.cli.parsing import NotFlags
 from gendom.estimation.lift_plan import LiftPlan, LiftPlanSettings, ObjectClass, plan_lift, rolls
@@ -74,10 +72,7 @@ class Command:
 
     def _objects(self) -> ObjectClass:
         large, small = KINDS[self.kind].sizes
-        fix = f"give --{large} and --{small}"
-        for name in sorted({n for kind in KINDS.values() for n in kind.sizes} - {large, small}):
-            what = f"a {self.kind} has no {name}"
-            require(not getattr(self, name), what, where=f"--{name}", fix=fix)
+        refuse_sizes(self.kind, [name for name, given in vars(self).items() if given])
         size, thickness, mass = (self._range(name) for name in (large, small, "mass"))
         missing = [n for n, ends in ((large, size), (small, thickness)) if ends is None]
         fix = f"give {' and '.join(f'--{name}' for name in missing)} in metres"

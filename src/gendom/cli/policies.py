@@ -1,7 +1,5 @@
 """`gendom policies`: the policies that come with the package."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,7 +51,7 @@ def policy_text(row: dict[str, Any]) -> str:
     name, training, acted = printable(Path(row["path"]).name), row["training"], row["acted"]
     lines = [f"{name}: {row['task']}, {row['method']}, conditioned on {names}"]
     for name, (low, high) in row["parameters"].items():
-        lines.append(f"  input {name:<8} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
+        lines.append(f"  input {name:<15} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
     for name, (low, high) in row["goals"].items():
         lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
     forms = {"demonstrations": "{} demonstrations", "failed": "of which {} failed",

@@ -1,7 +1,5 @@
 """`gendom record`: a lift, recorded by depth cameras."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`gendom replay`: simulate a recorded motion with given parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

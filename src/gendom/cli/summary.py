@@ -1,7 +1,5 @@
 """What a recording holds, for people and as JSON."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

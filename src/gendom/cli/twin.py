@@ -1,7 +1,5 @@
 """`gendom twin`: an estimated object for other simulators."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -9,7 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import Seed
+from gendom.cli.arguments import Seed, refuse_sizes
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import GendomError, did_you_mean
 from gendom.materials import KINDS, Item, catalogue
@@ -74,11 +72,9 @@ class Command:
 
     def _of_material(self) -> Item:
         found = catalogue.get(self.source)
+        refuse_sizes(found.kind, self._sizes)
         kind = KINDS[found.kind]
         large, small = kind.sizes
-        others = " and no ".join(sorted({*self._sizes} - {large, small}))
-        what = f"is a {found.kind}, which has no {others}"
-        require(not others, what, where=self.source, fix=f"give --{large} and --{small}")
         what, fix = f"a material has no {large}", f"give --{large} in metres"
         require(large in self._sizes, what, where=self.source, fix=fix)
         sizes = {small: found.across.typical, **self._sizes}

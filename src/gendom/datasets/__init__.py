@@ -14,10 +14,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Fault", "ObjectDescription", "Recording", "generate", "read_pcd", "read_ply"]
 
-__getattr__ = imported_later(
-    __name__,
-    {
-        "Fault": "recording_form", "ObjectDescription": "recording_form", "Recording": "recording",
-        "generate": "demonstrations", "read_pcd": "clouds", "read_ply": "clouds",
-    },
-)  # fmt: skip
+__getattr__ = imported_later(__name__)

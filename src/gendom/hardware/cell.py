@@ -212,7 +212,7 @@ class Cell:
         plain = all(re.fullmatch(r"\w[\w.-]*", c.name) for c in seen)
         errors = np.array([c.stated_error for c in seen])
         stated = bool(np.all(np.isnan(errors) | ((errors > 0.0) & (errors < 1.0))))
-        serials = [(c.device, c.serial) for c in seen if c.serial and c.device != "replay"]
+        serials = [(c.device, c.serial) for c in seen if c.serial]
         one = len(set(serials)) == len(serials)
         checks = {
             "address": (self.address.strip() != "", "that of the robot's controller"),

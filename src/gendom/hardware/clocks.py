@@ -7,8 +7,6 @@ in the hand's frame; a line through these shifts over v gives tau. What is the s
 as a calibration's error is, and what grows with the way, as its turn does, are left free.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, Protocol, runtime_checkable
 
 from gendom.arguments import require
@@ -129,7 +129,6 @@ that it stands in."""
 DEPTH_CAMERAS = {
     "realsense": "gendom.hardware.realsense:RealSenseCamera",
     "simulated": "gendom.hardware.simulated:SimulatedCamera",
-    "replay": "gendom.hardware.replay:ReplayedCamera",
 }
 """Depth cameras likewise."""
 
@@ -142,7 +141,7 @@ def find_robot(name: str) -> Any:
     """
     found = _find("robot", name, ROBOTS, plugins("robots"))
     if hasattr(found, "servo"):
-        return partial(_loaded("gendom.hardware.streamed:StreamedRobot"), driver=found)
+        return partial(resolve_name("gendom.hardware.streamed:StreamedRobot"), driver=found)
     return found
 
 
@@ -160,9 +159,4 @@ def _find(kind: str, name: str, own: dict[str, str], others: dict[str, Any]) -> 
     found = ({**own, **others}).get(name)
     fix = did_you_mean(name, [*own, *others]) or f"have {', '.join([*own, *others])}"
     require(found, f"there is no {kind} {name!r}", fix=fix, error=DeviceError)
-    return _loaded(found) if isinstance(found, str) else found
-
-
-def _loaded(place: str) -> Any:
-    module, _, attribute = place.partition(":")
-    return getattr(import_module(module), attribute)
+    return resolve_name(found) if isinstance(found, str) else found

@@ -5,8 +5,6 @@ every tick (`Tick`) and every fault as it happens, an `end` last. What was writt
 was killed can be read; a log without an `end` is told at the next start.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

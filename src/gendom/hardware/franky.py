@@ -7,8 +7,6 @@ A command holds for `_HOLD`; after that franky brakes by itself.
 Sources: franky-control 2.0's documentation.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """What an executed action reached, from the clouds that cameras saw of it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

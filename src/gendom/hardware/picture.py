@@ -1,7 +1,5 @@
 """A cell, the arm in it and paths of its tool, drawn from the top and from the side."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from itertools import combinations, product

@@ -4,8 +4,6 @@ The SDK's own recorder writes what the camera sends, for `gendom.perception.Real
 Aligning and encoding pictures while they arrive would lose most of them.
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -46,30 +44,19 @@ class RealSenseCamera:
 
     Args:
         cell_camera: Its name, serial number and pose.
-        width, height: Of both streams [pixel].
-        rate: Frames a second.
-        colour: Whether to record colour too.
-        compress: Whether the SDK encodes pictures as PNG while it records: a third of the size, but
-            two cameras keep two cores busy, and lose pictures beside other work.
         device: A device of the SDK to use instead of a connected one.
     """
 
-    def __init__(
-        self,
-        cell_camera: CellCamera,
-        *,
-        width: int = 848,
-        height: int = 480,
-        rate: int = 30,
-        colour: bool = True,
-        compress: bool = False,
-        device: Any = None,
-    ):
+    mode = 848, 480, 30
+    """Width and height of both streams [pixel], and frames a second."""
+    kinds = "depth", "color"
+    compress = False
+    """Whether the SDK encodes pictures as PNG while it records: a third of the size, but two
+    cameras keep two cores busy, and lose pictures beside other work."""
+
+    def __init__(self, cell_camera: CellCamera, *, device: Any = None):
         self.name = cell_camera.name
         self._described = cell_camera
-        self.pixels, self._mode = width * height, (width, height, rate)
-        self._kinds = ("depth", "color") if colour else ("depth",)
-        self._compress = compress
         self._device = device
         self._context: Any = None
         self._connected = False
@@ -78,6 +65,11 @@ class RealSenseCamera:
         self._streams: dict[str, _Stream] = {}
         self._path = Path()
         self._unplugged = False
+
+    @property
+    def pixels(self) -> int:
+        """Of a picture."""
+        return self.mode[0] * self.mode[1]
 
     def _require(self, holds: bool, what: str, fix: str) -> None:
         require(holds, what, where=f"camera {self.name}", fix=fix, error=DeviceError)
@@ -93,7 +85,7 @@ class RealSenseCamera:
             self._context = sdk.context()
             self._device = _connected(sdk, self._context, self._described.serial)
             self._context.set_devices_changed_callback(self._devices_changed)
-        for kind in self._kinds:
+        for kind in self.kinds:
             self._profile(self._device, kind)
         self._connected = True
 
@@ -108,9 +100,9 @@ class RealSenseCamera:
                     video = profile.as_video_stream_profile()
                     modes[video.width(), video.height(), profile.fps()] = sensor, video
         have = ", ".join(f"{w} x {h} at {f}" for w, h, f in sorted(modes)) or "none"
-        what = "has no {} of {} x {} at {} a second".format(kind, *self._mode)
-        self._require(self._mode in modes, what, f"choose of {have}")
-        return modes[self._mode]
+        what = "has no {} of {} x {} at {} a second".format(kind, *self.mode)
+        self._require(self.mode in modes, what, f"choose of {have}")
+        return modes[self.mode]
 
     def _devices_changed(self, changes: Any) -> None:
         self._unplugged |= changes.was_removed(self._device)
@@ -129,11 +121,11 @@ class RealSenseCamera:
         require(not taken, "is there already", where=str(self._path), fix="name another folder")
         write_pose(self._path.with_name("camera.toml"), self._described.T_world_camera)
         try:
-            self._recorder = sdk.recorder(str(self._path), self._device, self._compress)
-            self._streams = {kind: _Stream() for kind in self._kinds}
+            self._recorder = sdk.recorder(str(self._path), self._device, self.compress)
+            self._streams = {kind: _Stream() for kind in self.kinds}
             # Of cameras whose depth and colour come from one sensor both open at once.
             by_sensor: dict[str, tuple[Any, list[Any]]] = {}
-            for kind in self._kinds:
+            for kind in self.kinds:
                 sensor, profile = self._profile(self._recorder, kind)
                 name = sensor.get_info(sdk.camera_info.name)
                 by_sensor.setdefault(name, (sensor, []))[1].append(profile)
@@ -191,7 +183,7 @@ class RealSenseCamera:
         self._require(self._recorder is not None, "does not record", "start a recording first")
         time.sleep(_FLUSH)
         self._close()
-        if not self._compress:  # PNG has checksums of its own
+        if not self.compress:  # PNG has checksums of its own
             write_checksum(self._path)
         bag = Bag(self._path)
         pictures = missing = 0

@@ -11,8 +11,6 @@ All times are those of the cameras' clock. Rows are on disk as they come: what a
 fault leaves can be read.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +22,7 @@ from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError
 from gendom.files import free_room, write_json
 from gendom.hardware.contracts import DepthCamera, Recorded, Robot, Tick
+from gendom.perception.folder import append_row
 from gendom.robot import JointMotion, tcp_pose
 
 _PIXEL = 5 * 30  # bytes a second of a pixel: 16 bit of depth and 24 of colour, 30 times
@@ -73,9 +72,8 @@ def record_motion(
                 started.append(camera)
             for camera in cameras:
                 camera.wait_for_pictures()
-            add = stack.enter_context(_rows(folder, robot, motion))
             stack.enter_context(_watched(robot, cameras, folder, faults))
-            robot.play(motion, on_tick=add)
+            robot.play(motion, on_tick=_rows(folder, robot, motion))
     except BaseException as error:
         ended = str(error) or type(error).__name__
         raise
@@ -131,25 +129,19 @@ def _watched(
         thread.join()
 
 
-@contextmanager
-def _rows(folder: Path, robot: Robot, motion: JointMotion) -> Iterator[Callable[[Tick], None]]:
-    """Gives a function that adds a tick's rows to joints.csv and gripper.csv."""
-    names, last = ",".join(f"q{j}" for j in range(robot.arm.joints)), -math.inf
-    with ExitStack() as stack:
-        joints, gripper = (
-            stack.enter_context(open(folder / name, "w", buffering=1, encoding="utf-8"))
-            for name in ("joints.csv", "gripper.csv")
-        )
-        joints.write(f"time,{names}\n")
-        gripper.write("time,x,y,z,closed\n")
+def _rows(folder: Path, robot: Robot, motion: JointMotion) -> Callable[[Tick], None]:
+    """A function that adds a tick's rows to joints.csv and gripper.csv."""
+    joints, gripper, last = folder / "joints.csv", folder / "gripper.csv", -math.inf
+    names = ",".join(f"q{j}" for j in range(robot.arm.joints))
+    joints.write_text(f"time,{names}\n", encoding="utf-8")
+    gripper.write_text("time,x,y,z,closed\n", encoding="utf-8")
 
-        def add(tick: Tick) -> None:
-            nonlocal last
-            if tick.stamp <= last:  # the same report as before
-                return
-            last, tool = tick.stamp, tcp_pose(robot.arm, tick.measured)[:3, 3]
-            closed = float(motion.closed_at(tick.time) or False)
-            for file, row in ((joints, tick.measured), (gripper, [*tool, closed])):
-                file.write(",".join(f"{x:.6f}" for x in (tick.stamp, *row)) + "\n")
+    def add(tick: Tick) -> None:
+        nonlocal last
+        if tick.stamp <= last:  # the same report as before
+            return
+        last, tool = tick.stamp, tcp_pose(robot.arm, tick.measured)[:3, 3]
+        append_row(joints, (tick.stamp, *tick.measured))
+        append_row(gripper, (tick.stamp, *tool, motion.closed_at(tick.time) or False))
 
-        yield add
+    return add

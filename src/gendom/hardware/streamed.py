@@ -5,8 +5,6 @@ along its path. A late tick moves all those after it. A fault stays until the ro
 again.
 """
 
-from __future__ import annotations
-
 import math
 import multiprocessing
 import os

@@ -6,8 +6,6 @@ burst. What leaves the path in doubt brakes along the path; what the arm no long
 the controller's own stop. A fault stays.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

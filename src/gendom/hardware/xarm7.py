@@ -6,8 +6,6 @@ measured joints (the stream's are those commanded), and the gripper.
 Sources: xarm-python-sdk 1.18, and UFACTORY's developer manual for modes, states and codes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging

@@ -13,8 +13,6 @@ Other packages add materials by an entry point of the group ``gendom.materials``
 mapping with the sections of catalogue.toml. Its materials may name our sources and shared ranges.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import tomllib

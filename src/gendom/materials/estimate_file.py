@@ -4,8 +4,6 @@ Its single source of truth is the posterior; the values beside it follow from th
 changed after it was written is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping
@@ -24,6 +22,7 @@ from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.reading import read_json
 
 FORMAT = "gendom-estimate/1"
+_GIVE = "give a file written by gendom estimate"
 
 LEVEL = 0.9
 """Probability of intervals where an estimate names none."""
@@ -122,7 +121,7 @@ def assumed_density_sd(material: str | None) -> float:
 
 def read_record(path: str | Path, *, even_unusable: bool = True) -> dict[str, Any]:
     """The JSON document of an estimate's file; errors as of `check_record`."""
-    read = read_json(path)
+    read = read_json(path, fix=_GIVE)
     check_record(read, str(path), even_unusable=even_unusable)
     return read
 
@@ -134,8 +133,8 @@ def check_record(read: Mapping[str, Any], where: str, *, even_unusable: bool = T
         ParameterError: It has another format or no checksum, was changed, holds no numbers, or is
             not usable, unless such are wanted, too.
     """
-    form, fix = read.get("format"), "give a file written by gendom estimate"
-    require(form == FORMAT, f"has format {form!r}, not {FORMAT!r}", where=where, fix=fix)
+    form = read.get("format")
+    require(form == FORMAT, f"has format {form!r}, not {FORMAT!r}", where=where, fix=_GIVE)
     verdict, again = read.get("verdict"), "record the object again, or"
     reasons = verdict.get("reasons") if isinstance(verdict, dict) else None
     why = ", ".join(map(str, reasons if isinstance(reasons, list) else ()))

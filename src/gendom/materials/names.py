@@ -1,7 +1,5 @@
 """Names that quantities had in files of earlier versions, and what they are called now."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Depth pictures and the colour beside them, which a sensor of its own saw."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

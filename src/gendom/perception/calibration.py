@@ -15,8 +15,6 @@ pose where the focal length, the board's scale and the principal point are free,
 in all views alike no residual shows.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -13,15 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arrays import Array
-from gendom.reading import MOST_DEPTHS, MOST_PIXELS, wanted
+from gendom.reading import MOST_DEPTHS, MOST_PIXELS
+from gendom.reading import wanted as expect
 
 MAX_DISTANCE = 20.0
 """What is farther from the robot's base than this [m] was given in millimetres."""
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
-
-expect = wanted
-"""Raises a `RecordingError` unless a condition holds: what is wrong, where, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,8 +4,6 @@ T_world_camera may also name a file beside it that another calibration wrote
 (`gendom.perception.poses`). Beside a recording that holds the intrinsics only it is needed.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

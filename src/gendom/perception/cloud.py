@@ -5,8 +5,6 @@ which it is inside the workspace and on the table. Cropping and table removal ar
 of 16-bit integers, and only the remaining pixels are converted to points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,12 +6,10 @@ of one clock. Each frame is read separately when it is used, so a damaged or mis
 affect others.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +32,7 @@ from gendom.perception.frames import (
     read_png,
 )
 from gendom.perception.realsense import RealSenseRecording
-from gendom.perception.robot import CapsulePath, cut_off, read_shape
+from gendom.perception.robot import Capsules, cut_off, read_shape
 from gendom.plugins import plugins
 from gendom.reading import inside, number_of, read_rows
 from gendom.robot import Arm
@@ -87,8 +85,8 @@ class CameraRecording:
     robot: RobotPath
     meta: dict[str, Any]
     """The content of object.toml, in the layout of a recording's meta."""
-    capsules: CapsulePath | None = None
-    """The robot's shape; None: unknown."""
+    capsules: Callable[[float], Capsules] | None = None
+    """The robot's shape at a time [s]; None: unknown."""
     where: str = ""
     """What messages call it."""
 
@@ -158,6 +156,12 @@ class PngWriter:
         with open(self._folder / "frames.csv", "a", encoding="utf-8") as file:
             file.write(",".join(row) + "\n")
         self._count += 1
+
+
+def append_row(path: Path, row: Iterable[float]) -> None:
+    """Append numbers to a CSV file, on the disk at once."""
+    with open(path, "a", encoding="utf-8") as file:
+        file.write(",".join(f"{float(x):.6f}" for x in row) + "\n")
 
 
 def read_cameras(

@@ -1,7 +1,5 @@
 """Frames of depth cameras: the contract of their sources, matching by time stamp, PNG files."""
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings

@@ -7,8 +7,6 @@ ways fit, nothing says which one is the rope. A rope that lies near itself is fo
 shortest steps: as long as the rope, no thicker anywhere, and with hardly a point beside it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

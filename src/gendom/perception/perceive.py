@@ -1,7 +1,5 @@
 """Convert recorded pictures and the robot's path to a recording for the estimator."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -151,7 +149,7 @@ class _Perception:
                 continue
             if (pictures := self._read(frames)) is None:
                 continue
-            capsules = self.recorded.capsules and self.recorded.capsules.at(time)
+            capsules = self.recorded.capsules and self.recorded.capsules(time)
             held = Held(
                 gripper[0],
                 (self.object.size or 0.0) + _BEYOND,

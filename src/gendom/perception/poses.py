@@ -9,8 +9,6 @@
 A launch file is read as text and never run.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

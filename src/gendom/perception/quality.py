@@ -1,7 +1,5 @@
 """Agreement of cameras, and the visible share of the object."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -18,8 +18,6 @@ damaged or truncated file all messages that SQLite can read are used. A .bag fil
 the command by which the SDK converts it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -8,8 +8,6 @@ object, so their margin is at most `FINGER_MARGIN`; a larger one would remove th
 object and a piece below it.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,7 +27,6 @@ from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_join
 FINGER_MARGIN = 0.003
 """Largest margin around the fingers [m]: about the depth noise at 0.8 m."""
 
-_MAX_JOINT_STEP = 0.05  # [rad]; between two rows: ends then sag by 0.3 mm at most
 _MOST_TURNS = 2000.0  # [rad]; a robot at full speed needs ten minutes
 _MAX_GAP_AT_ENDS = 0.1  # [s]; the joints may begin later and end earlier by so much
 
@@ -70,44 +67,26 @@ class Capsules:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class CapsulePath:
-    """C capsules over time."""
-
-    time: Array
-    """[M] [s]."""
-    ends: Array
-    """[M, C, 6] both ends of each axis [m]."""
-    radius: Array
-    """[C] [m]."""
-    largest_margin: Array
-    """[C] upper bound on the margin around each capsule [m]."""
-
-    def at(self, time: float) -> Capsules:
-        """The capsules at a time, linear between rows and at rest before and after."""
-        ends = interpolate(self.time, self.ends, time)
-        return Capsules(ends[:, :3], ends[:, 3:], self.radius, self.largest_margin)
-
-
-def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> CapsulePath:
-    """An arm's capsules over time, from its joints.
+def arm_capsules(
+    arm: Arm, states: JointStates, *, held: float = 0.0
+) -> Callable[[float], Capsules]:
+    """An arm's capsules as a function of time [s], from its joints.
 
     Args:
         arm: Its base frame is the world.
-        states: Joint angles, between which it turns evenly.
+        states: Joint angles, between which it turns evenly; before and after it is at rest.
         held: Thickness of what the fingers hold [m], their opening where the states have none.
     """
-    time, q = states.time, states.q
-    opening = np.full(len(time), held) if states.opening is None else states.opening
-    turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
-    steps = np.maximum(1, np.ceil(turns / _MAX_JOINT_STEP)).astype(int)
-    knots = np.append(0, np.cumsum(steps))
-    times = np.interp(np.arange(knots[-1] + 1), knots, time)
-    angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
-    shape = arm_shape(arm, angles, np.interp(times, time, opening))
-    ends = np.concatenate([shape.start, shape.end], axis=2)
-    margins = np.where(shape.touches_object, FINGER_MARGIN, np.inf)
-    return CapsulePath(times, ends, np.asarray(shape.radius), margins)
+
+    def at(time: float) -> Capsules:
+        opening = held
+        if states.opening is not None:
+            opening = np.interp(time, states.time, states.opening)
+        shape = arm_shape(arm, interpolate(states.time, states.q, time), opening)
+        margins = np.where(shape.touches_object, FINGER_MARGIN, np.inf)
+        return Capsules(shape.start, shape.end, shape.radius, margins)
+
+    return at
 
 
 def read_shape(
@@ -117,8 +96,8 @@ def read_shape(
     *,
     arm: Arm | None = None,
     on_warning: Callable[[Fault], None] = lambda _: None,
-) -> CapsulePath | None:
-    """The robot's shape in a folder, from joints.csv; None: it has none.
+) -> Callable[[float], Capsules] | None:
+    """The robot's shape in a folder as a function of time [s], from joints.csv; None: it has none.
 
     Args:
         folder: It may hold the file.

@@ -5,8 +5,6 @@ What is read of which messages, docs/data.md says. `read_ros_bag` takes the clou
 robot. All is brought into one frame, the world's. Times are those of the headers.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -25,7 +23,7 @@ from gendom.perception.camera import expect
 from gendom.perception.folder import CameraRecording, RobotPath
 from gendom.perception.frames import Frame, MatchedFrames
 from gendom.perception.poses import read_poses
-from gendom.perception.robot import CapsulePath, arm_capsules
+from gendom.perception.robot import Capsules, arm_capsules
 from gendom.perception.ros_bag import RosBag
 from gendom.perception.ros_cameras import cloud_camera, depth_camera, topics_of
 from gendom.perception.ros_frames import FrameTree, Track, stamp
@@ -351,8 +349,8 @@ def _at_rest(scene: _Scene, frame: str) -> Array:
     return T[0]
 
 
-def _capsules(scene: _Scene, arm: Arm | None) -> CapsulePath | None:
-    """The robot's shape from its joint states, where it is known which robot it is."""
+def _capsules(scene: _Scene, arm: Arm | None) -> Callable[[float], Capsules] | None:
+    """The robot's shape at a time from its joint states, where it is known which robot it is."""
     named, bag = scene.values["extra"].get("robot"), scene.bag
     topics = [n for n, kind in bag.topics.items() if kind == JOINTS]
     if not topics or (arm is None and not isinstance(named, str)):

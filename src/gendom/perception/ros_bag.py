@@ -1,7 +1,5 @@
 """The files of ROS bags, both versions, opened by rosbags once they are found harmless."""
 
-from __future__ import annotations
-
 import heapq
 import os
 import re

@@ -1,7 +1,5 @@
 """Where frames of a ROS bag are over time: the tree of TF, as tf2 keeps it."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Clouds, depth and colour of messages of ROS, of both versions."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 from typing import Any

@@ -24,12 +24,4 @@ __all__ = [
     "Policy", "Polished", "Training", "adapt", "believed", "polish", "score", "train",
 ]  # fmt: skip
 
-__getattr__ = imported_later(
-    __name__,
-    {
-        **dict.fromkeys(("Adapted", "Execution", "adapt"), "adaptation"),
-        **dict.fromkeys(("Polished", "polish"), "polishing"),
-        "believed": "belief", "Demonstrations": "demonstrations", "Training": "fitting",
-        "score": "evaluation", "train": "training",
-    },
-)  # fmt: skip
+__getattr__ = imported_later(__name__)

@@ -12,8 +12,6 @@ mass of the air that is carried along: of a square of side a that moves broadsid
 0.14 kg/m^2 for 0.3 m.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_array
 

@@ -1,7 +1,5 @@
 """The robot in the MuJoCo test scene: bodies and servos made from an arm's published numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

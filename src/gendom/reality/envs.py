@@ -23,8 +23,6 @@ info of a step, beside the task's outcome by name:
     refused      why the arm refused (then only this, action and reached are there), or None
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 

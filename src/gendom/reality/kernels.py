@@ -3,8 +3,6 @@ MuJoCo's step. `gendom.reality.air` and `gendom.reality.twist` have the formulas
 
 # pyright: reportInvalidTypeForm=false
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

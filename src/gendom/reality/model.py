@@ -5,8 +5,6 @@ shell of triangles, both integrated implicitly, with MuJoCo's contact model. doc
 compares both with closed-form solutions; `gendom.reality.twist` describes what the rods lack.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@
 side and the colour; values in the file replace them.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping

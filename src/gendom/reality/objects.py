@@ -26,8 +26,6 @@ polyethylene to 0.7 for rubber, and loss factors of 0.15 to 0.25 where ropes vib
 Triangles of a cloth: docs/reality.md derives how they are cut and how stiff their hinges are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields

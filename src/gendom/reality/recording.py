@@ -10,8 +10,6 @@
 Perception, estimation and control never read `truth`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -29,6 +27,7 @@ from gendom.errors import GendomError
 from gendom.files import atomic_path, check_folder, write_json
 from gendom.materials import to_columns
 from gendom.perception import PngWriter
+from gendom.perception.folder import append_row
 from gendom.reality.objects import description
 from gendom.reality.sensor import RigErrors, observe
 from gendom.reality.trials import TrialRun
@@ -82,18 +81,21 @@ def record(
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     _write_object(folder / "object.toml", run, notes)
+    (folder / "gripper.csv").write_text("time,x,y,z,ax,ay,az,closed\n", encoding="utf-8")
+    if world.robot is not None:
+        names = ",".join(f"q{k}" for k in range(world.robot.arm.joints))
+        (folder / "joints.csv").write_text(f"time,{names}\n", encoding="utf-8")
     began, truth = world.time, []
     frames = np.arange(int((run.end - began) * frame_rate + 1e-9) + 1) / frame_rate
     samples = np.arange(int((run.end - began + PATH_LONGER) * PATH_RATE + 1e-9) + 1) / PATH_RATE
     with ExitStack() as closed:
         said = {"noisy": not exact, "errors": asdict(errors), "seed": seed}
         closed.callback(_write_truth, folder / "truth", run, said, truth)
-        add_sample = closed.enter_context(_path_files(folder, run))
         take = closed.enter_context(_pictures(folder, run, errors, seed, not exact))
         for moment in np.union1d(frames, samples):
             run.step_to(began + moment)
             if moment in samples:
-                add_sample(moment)
+                _add_to_path(folder, run, moment)
             if moment in frames:
                 take(moment)
                 truth.append((moment, world.vertices()))
@@ -125,30 +127,14 @@ def _pictures(
         yield take
 
 
-@contextmanager
-def _path_files(folder: Path, run: TrialRun) -> Iterator[Callable[[float], None]]:
-    """Adds what is measured of the hand and of the arm's joints at a time [s] to gripper.csv and
-    joints.csv; each row is on the disk at once."""
+def _add_to_path(folder: Path, run: TrialRun, moment: float) -> None:
+    """Add what is measured of the hand and of the arm's joints at a time [s] to gripper.csv and
+    joints.csv."""
     world, robot = run.world, run.world.robot
-    heads = {"gripper": "time,x,y,z,ax,ay,az,closed"}
+    holds = len(world.held) > 0
+    append_row(folder / "gripper.csv", (moment, *world.hand, *world.hand_axis, holds))
     if robot is not None:
-        heads["joints"] = ",".join(["time", *(f"q{k}" for k in range(robot.arm.joints))])
-    with ExitStack() as files:
-        tables = {}
-        for name, head in heads.items():
-            file = open(folder / f"{name}.csv", "w", buffering=1, encoding="utf-8")  # noqa: SIM115
-            tables[name] = files.enter_context(file)
-            file.write(f"{head}\n")
-
-        def add(moment: float) -> None:
-            rows = {"gripper": [*world.hand, *world.hand_axis, len(world.held) > 0]}
-            if robot is not None:
-                rows["joints"] = robot.measured(world.data)
-            for name, numbers in rows.items():
-                row = ",".join(f"{float(x):.6f}" for x in (moment, *numbers))
-                tables[name].write(f"{row}\n")
-
-        yield add
+        append_row(folder / "joints.csv", (moment, *robot.measured(world.data)))
 
 
 def _write_object(path: Path, run: TrialRun, notes: str) -> None:

@@ -14,8 +14,6 @@ what clamps the last section is -GJ m / L along its edge. As in bending, the dam
 rate of strain is worth in strain.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -24,18 +24,7 @@ if TYPE_CHECKING:
     from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
     from gendom.robot.planning import follow, joint_move
 
-_MODULES = {
-    "arm": ("FR3", "XARM7", "Arm", "FingerCapsule", "LinkCapsule", "ParallelGripper"),
-    "capsules": ("fit_capsules",),
-    "collision": ("Box", "CollisionChecker", "Post", "Surroundings"),
-    "description": ("read_arm",),
-    "kinematics": ("arm_shape", "jacobian", "link_poses", "pose_error", "solutions", "tcp_pose"),
-    "motion": ("JointMotion", "JointStates", "read_joints"),
-    "motions": ("LIFT_ENDS", "MOTION_FORMAT", "LiftMotion", "lift", "predefined_lift"),
-    "path": ("DOWN", "GripperEvent", "TcpPath", "TcpPaths", "pointing"),
-    "planning": ("follow", "joint_move"),
-}
-__getattr__ = imported_later(__name__, {n: of for of, names in _MODULES.items() for n in names})
+__getattr__ = imported_later(__name__)
 
 
 def known_arms() -> dict[str, Any]:

@@ -5,8 +5,6 @@ sticks out of the mesh too far, its part is cut in two. A capsule is convex, so 
 vertices of a triangle it covers the triangle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ Such files know no accelerations, and few a gripper: beside NAME.urdf or NAME.xm
 hold the fields of `Hand`. The file's own fingers are replaced by those of that hand.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
-from gendom.arrays import Array, placed, rigid
+from gendom.arrays import Array, outwards, placed, rigid
 from gendom.errors import RobotError
 from gendom.installation import load_mujoco
 from gendom.reading import read_bytes, read_toml, record_of
@@ -235,7 +233,8 @@ class _Chain:
         elif kind in (types.mjGEOM_PLANE, types.mjGEOM_HFIELD):
             return np.empty((0, 3, 3))
         else:
-            faces = hull_faces(_points(types, kind, size))
+            hull = ConvexHull(_points(types, kind, size))
+            faces = hull.points[outwards(hull)]
         T = rigid(self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom])
         return placed(np.linalg.inv(self.frames[0]) @ T, faces)
 
@@ -309,13 +308,3 @@ def _points(types: Any, kind: int, size: Array) -> Array:
         int(types.mjGEOM_ELLIPSOID): size[:, None, None] * ball,
     }
     return points.get(int(kind), r * ball).reshape(3, -1).T
-
-
-def hull_faces(points: Array) -> Array:
-    """[T, 3, 3] triangles of a convex hull, anticlockwise seen from outside."""
-    hull = ConvexHull(points)
-    faces = points[hull.simplices]
-    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    inwards = np.einsum("ij,ij->i", normal, hull.equations[:, :3]) < 0.0
-    faces[inwards] = faces[inwards, ::-1]
-    return faces

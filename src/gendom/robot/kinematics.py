@@ -5,8 +5,6 @@ The gripper's z points out of the fingers, its y from finger to finger. Joint an
 finite, or not as many as the arm has, are refused with a `RobotError`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

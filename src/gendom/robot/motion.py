@@ -20,7 +20,7 @@ from gendom.files import atomic_path
 from gendom.reading import read_number_table
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import jacobian, tcp_pose
-from gendom.robot.path import GripperEvent
+from gendom.robot.path import Timed
 
 RATE = 100.0
 """Rows a second of written files [1/s]."""
@@ -57,19 +57,15 @@ class LimitUse:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointMotion:
+class JointMotion(Timed):
     """Joint angles over time: a cubic spline that starts and ends at rest.
 
     Raises:
         RobotError: Shapes do not agree, times do not increase or a number is not finite.
     """
 
-    time: Array
-    """[K] of the knots [s]; before and after them the arm stands still."""
     q: Array
     """[K, J] joint angles [rad]."""
-    events: tuple[GripperEvent, ...] = ()
-    """When the gripper closes and opens, in order of time."""
     blend: float = 0.0
     """Time over which the path's corners were rounded off [s]."""
     deviation: float = 0.0
@@ -95,16 +91,6 @@ class JointMotion:
                 return CubicSpline(self.time, self.q, bc_type="clamped")
         except ValueError:  # slopes between knots that overflow
             raise RobotError("turns faster than numbers can say", fix="make it again") from None
-
-    @property
-    def start(self) -> float:
-        """[s]."""
-        return float(self.time[0])
-
-    @property
-    def end(self) -> float:
-        """[s]."""
-        return float(self.time[-1])
 
     def at(self, time: ArrayLike) -> Array:
         """[..., J] joint angles [rad] at times [...] [s]."""
@@ -207,15 +193,6 @@ class JointMotion:
         _require(positive, f"cannot take {factor} times as long", fix="give a number > 0")
         slower = self.retimed(lambda time: self.start + factor * (time - self.start))
         return replace(slower, slowed_by=factor * self.slowed_by)
-
-    def shifted(self, seconds: float) -> JointMotion:
-        """The same motion, later by some seconds."""
-        return self.retimed(lambda time: time + seconds)
-
-    def retimed(self, to: Callable[[Any], Any]) -> JointMotion:
-        """The same motion with its times, those of its events too, changed by a function."""
-        events = tuple(replace(e, time=to(e.time)) for e in self.events)
-        return replace(self, time=to(self.time), events=events)
 
     def then(self, other: JointMotion) -> JointMotion:
         """This motion and then another, which starts where this one ends.

@@ -20,11 +20,11 @@ path begins and ends half a blend earlier and later.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,21 +69,46 @@ class GripperEvent:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TcpPath:
+class Timed:
+    """What has knots in time, before and after which it rests, and what the gripper does."""
+
+    time: Array
+    """[K] increasing times of the knots [s]."""
+    events: tuple[GripperEvent, ...] = ()
+    """When the gripper closes and opens, in order of time."""
+
+    @property
+    def start(self) -> float:
+        """[s]."""
+        return float(self.time[0])
+
+    @property
+    def end(self) -> float:
+        """[s]."""
+        return float(self.time[-1])
+
+    def shifted(self, seconds: float) -> Self:
+        """The same, later by some seconds."""
+        return self.retimed(lambda time: time + seconds)
+
+    def retimed(self, to: Callable[[Any], Any]) -> Self:
+        """The same with its times, those of its events too, changed by a function."""
+        events = tuple(replace(e, time=to(e.time)) for e in self.events)
+        return replace(self, time=to(self.time), events=events)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TcpPath(Timed):
     """A timed path of the tool point; before its start and after its end the tool stands still.
 
     Raises:
         RobotError: Shapes do not agree, times do not increase or a number is not finite.
     """
 
-    time: Array
-    """[K] times of the knots [s]."""
     position: Array
     """[K, 3] [m]; straight and at constant speed from knot to knot."""
     quat_xyzw: Array
     """[4] of the tool, which never turns."""
-    events: tuple[GripperEvent, ...] = ()
-    """When the gripper closes and opens, in order of time."""
     max_blend: float = math.inf
     """Longest blend that preserves the path's purpose [s], e.g. that the tool rests on release."""
     blend: float | None = None
@@ -139,16 +164,6 @@ class TcpPath:
             "events": [{"time": e.time, "closed": e.closed} for e in self.events],
         }
 
-    @property
-    def start(self) -> float:
-        """Start time of the ideal path [s]."""
-        return float(self.time[0])
-
-    @property
-    def end(self) -> float:
-        """End time of the ideal path [s]."""
-        return float(self.time[-1])
-
     def position_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
         """[..., 3] the tool point [m] at times [...] [s], rounded off by `blend` [s]."""
         time = np.asarray(time, dtype=float)
@@ -181,14 +196,6 @@ class TcpPath:
         T = np.asarray(T, dtype=float)
         turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(self.quat_xyzw)
         return replace(self, position=placed(T, self.position), quat_xyzw=turned.as_quat())
-
-    def shifted(self, seconds: float) -> TcpPath:
-        """The same path, later by some seconds."""
-        return replace(
-            self,
-            time=self.time + seconds,
-            events=tuple(replace(e, time=e.time + seconds) for e in self.events),
-        )
 
 
 class TcpPaths:

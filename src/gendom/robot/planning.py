@@ -13,8 +13,6 @@ u (Pham and Pham, "A new approach to time-optimal path parameterization based on
 analysis", 2018). The path's geometry stays as it is, and so do its pauses.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -18,15 +18,7 @@ if TYPE_CHECKING:
     from gendom.sim.simulator import Simulator
 
 # these import Warp
-__getattr__ = imported_later(
-    __name__,
-    {
-        **dict.fromkeys(("list_devices", "open_device"), "device"),
-        **dict.fromkeys(("CFL", "stable_substep"), "mpm.engine"),
-        "Rollout": "rollout",
-        "Simulator": "simulator",
-    },
-)
+__getattr__ = imported_later(__name__)
 
 __all__ = [
     "AIR_DENSITY",

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import check_integers, check_number, check_numbers, require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
-from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
+from gendom.sim.lines import along_line, arc_length, around, frames
 from gendom.sim.outlines import Cut, Outline
 
 CELLS_ACROSS = (0.6, 6.0)
@@ -122,35 +122,6 @@ class Body:
         out = (sections - centre)[..., self._outer, :]
         out = out * (self.thickness / 2.0 / np.linalg.norm(out, axis=-1, keepdims=True))
         return (centre + out).reshape(*x.shape[:-2], -1, 3)
-
-    def surface_transpose(self, x: Array, bar: Array) -> Array:
-        """Derivative of a loss with respect to positions, given that with respect to the surface.
-
-        Args:
-            x: [..., N, 3] particles, or the thin engine's points [m].
-            bar: [..., M, 3] derivative of the loss with respect to ``surface(x)`` [1/m].
-
-        Returns:
-            [..., N, 3] [1/m].
-        """
-        if self.kind != "rope":
-            cut = self.cut if self._has_points(x) else None
-            return bar if cut is None else cut.on_skin_transpose(bar)
-        if self._has_points(x):
-            return around_transpose(self.points, self.thickness, x, bar)
-        sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
-        outer = self._outer
-        out = (sections - sections.mean(axis=-2, keepdims=True))[..., outer, :]
-        length = np.linalg.norm(out, axis=-1, keepdims=True)
-        unit = out / length
-        bar = bar.reshape(out.shape)
-        # skin = centre + r unit
-        along = (unit * bar).sum(axis=-1, keepdims=True)
-        of_out = (bar - unit * along) * (self.thickness / 2.0 / length)
-        found = np.zeros(sections.shape)
-        found[..., outer, :] = of_out
-        found += (bar - of_out).sum(axis=-2, keepdims=True) / self.section
-        return found.reshape(x.shape)
 
     def _has_points(self, x: Array) -> bool:
         """Whether positions [..., N, 3] are those of the thin engine's points, not of particles."""

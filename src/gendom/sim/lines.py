@@ -64,31 +64,3 @@ def around(points: Array, thickness: float, x: Array) -> Array:
     ring = ring + np.sin(angle)[:, None] * normals[1][..., None, :]
     skin = centres[..., None, :] + 0.5 * thickness * ring
     return skin.reshape(*x.shape[:-2], -1, 3)
-
-
-def around_transpose(points: Array, thickness: float, x: Array, bar: Array) -> Array:
-    """Transpose of the derivative of ``around``, with the same names."""
-    n, lead = x.shape[-2], x.shape[:-2]
-    bar = bar.reshape(*lead, n - 1, -1, 8, 3)
-    parts = bar.shape[-3]
-    share = (np.arange(parts) + 0.5)[:, None] / parts
-    step = np.diff(x, axis=-2)
-    size = np.linalg.norm(step, axis=-1, keepdims=True)
-    tangent = step / size
-    *first, axis = fixed_frame(points[1] - points[0])
-    angle = 2.0 * math.pi * np.arange(8) / 8.0
-    each = 0.5 * thickness * bar.sum(axis=-3)
-    along, scale = tangent + axis, np.maximum(1.0 + tangent @ axis, 1e-9)[..., None]
-    of_tangent = np.zeros(tangent.shape)
-    for d, turn in zip(first, (np.cos(angle), np.sin(angle)), strict=True):
-        # normal = d - (t . d) / (1 + t . axis) (t + axis)
-        g = (each * turn[:, None]).sum(axis=-2)
-        pull, off = (g * along).sum(axis=-1, keepdims=True), (tangent @ d)[..., None]
-        of_tangent += axis * off * pull / scale**2 - d * pull / scale - g * off / scale
-    of_step = (of_tangent - tangent * (tangent * of_tangent).sum(axis=-1, keepdims=True)) / size
-    of_centre = bar.sum(axis=-2)
-    of_step += (share * of_centre).sum(axis=-2)
-    found = np.zeros(x.shape)
-    found[..., :-1, :] = of_centre.sum(axis=-2) - of_step
-    found[..., 1:, :] += of_step
-    return found

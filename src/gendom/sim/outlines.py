@@ -243,11 +243,9 @@ class Cut:
     def on_skin(self, x: Array) -> Array:
         """Places of cloth [..., n, 3] nearest to its points x [..., n, 3] [m]: points beyond the
         outline are moved onto it."""
-        return _applied(self.skin, x)
-
-    def on_skin_transpose(self, bar: Array) -> Array:
-        """Derivatives [..., n, 3] by x, given those by ``on_skin(x)``."""
-        return _applied(self.skin.T, bar)
+        first = np.moveaxis(x, -2, 0)
+        found = self.skin @ first.reshape(len(first), -1)
+        return np.moveaxis(found.reshape(first.shape), 0, -2)
 
     @property
     def number(self) -> NDArray[np.int64]:
@@ -267,12 +265,6 @@ class Cut:
         rows, columns = np.nonzero(number >= 0)
         first, second, third = np.moveaxis((self.skin @ np.stack([columns, rows], 1))[found], 1, 0)
         return found[cross(second - first, third - first) > 1e-3]
-
-
-def _applied(matrix: Any, x: Array) -> Array:
-    """A matrix [n, n] times vectors [..., n, 3]."""
-    first = np.moveaxis(x, -2, 0)
-    return np.moveaxis((matrix @ first.reshape(len(first), -1)).reshape(first.shape), 0, -2)
 
 
 def _corner_shares(

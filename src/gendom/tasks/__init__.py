@@ -124,9 +124,7 @@ def rebuild(description: Mapping[str, Any]) -> Task:
         raise ParameterError(what, fix="use this version of gendom to make it again") from error
 
 
-__getattr__ = imported_later(
-    __name__, {"Demonstrator": "demonstrator", "Simulation": "world", "draw_cases": "cases"}
-)
+__getattr__ = imported_later(__name__)
 
 __all__ = [
     "ClothDragging", "ClothSpreading", "Demonstrator", "Observed", "Outcome", "Quantity",

@@ -6,8 +6,6 @@ numbers that it reads, and twin.json with the parameters and where they come fro
 need GenDOM.
 """
 
-from __future__ import annotations
-
 from importlib import import_module, resources
 from pathlib import Path
 from typing import Any

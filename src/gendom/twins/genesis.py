@@ -9,8 +9,6 @@ moment goes with the cube of that: it is that of the plate at one angle, of a cl
 its bending length.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

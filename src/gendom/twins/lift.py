@@ -5,8 +5,6 @@ there and its diagonal along x. A hand holds the rope's first end, or the cloth'
 it. There is no air: other simulators have none, or another.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

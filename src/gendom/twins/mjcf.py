@@ -5,8 +5,6 @@ models need. What MJCF cannot say, each vertex's mass and each hinge's stiffness
 lift.npz.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

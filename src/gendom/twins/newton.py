@@ -7,8 +7,6 @@ plate's rigidity D in every direction needs g = 2 and a = 4 D / 3, so k_side = 4
 k_diagonal = k_side / sqrt(2).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Twins as USD text: the object's geometry, moving as in our simulator's lift, its parameters as
 attributes ``gendom:NAME`` with units in their documentation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

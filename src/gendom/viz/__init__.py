@@ -14,9 +14,7 @@ if TYPE_CHECKING:
     from gendom.viz.simulation import save, show
 
 # these import bodies and tasks
-__getattr__ = imported_later(
-    __name__, {"object_layer": "layers", "save": "simulation", "show": "simulation"}
-)
+__getattr__ = imported_later(__name__)
 
 __all__ = [
     "ActionSummary",

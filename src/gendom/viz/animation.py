@@ -1,7 +1,5 @@
 """What moves, described once, as layers over time: viewer, reports, films and meshes draw it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

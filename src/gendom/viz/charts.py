@@ -3,8 +3,6 @@
 What is drawn names a class of `page.css` ("recorded", "prior", "truth"), which has the colour.
 """
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Pictures and films of animations."""
 
-from __future__ import annotations
-
 import io
 import math
 import os

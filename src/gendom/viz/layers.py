@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from gendom.arrays import Array, placed
+from gendom.arrays import Array, outwards, placed
 from gendom.materials import Item, Rope, size_of, thickness_of
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.animation import Animation, Layer
@@ -79,11 +79,7 @@ def object_layer(
         rings = rings[:, np.linspace(0, rings.shape[1] - 1, n).round().astype(int)]
         points, faces = rings.reshape(len(x), -1, 3), tube_faces(n, 8)
     else:
-        faces = lattice_triangles(*body.shape)
-        if body.cut is not None:
-            index = np.full(body.shape, -1)
-            index.flat[body.cut.at] = np.arange(n)
-            faces = index.ravel()[faces[np.tile(body.cut.cells.ravel() > 0.0, 2)]]
+        faces = lattice_triangles(*body.shape) if body.cut is None else body.cut.triangles
     return Layer(points=points, faces=faces, closed=closed, **about)
 
 
@@ -144,10 +140,7 @@ def obstacle_layer(name: str, obstacle: Obstacle, times: Array) -> Layer:
     ball = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], -1)
     corners = np.stack(np.meshgrid(*[(-h, h) for h in half]), axis=-1).reshape(-1, 1, 3)
     hull = ConvexHull((corners + reach * ball.reshape(-1, 3)).reshape(-1, 3))
-    x, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
-    a, b, c = np.moveaxis(x[faces], 1, 0)
-    inwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0.0
-    faces[inwards] = faces[inwards, ::-1]
+    x, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, outwards(hull))
     moves = len(np.atleast_1d(obstacle.time)) > 1
     poses = [obstacle.pose_at(float(t)) for t in (times if moves else times[:1])]
     shown = [centre + turned.apply(x) for centre, turned in poses]

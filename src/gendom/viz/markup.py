@@ -1,7 +1,5 @@
 """Pages, and their pieces: escaped text, tables, lists of facts."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Colours of all pictures, and round steps of axes."""
 
-from __future__ import annotations
-
 import math
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.

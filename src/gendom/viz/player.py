@@ -1,8 +1,6 @@
 """A player of an animation inside a page: `player.js` brings it to life. Reports and notebooks have
 it, and the page that plays by itself."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Numbers as people read them: four digits at the most, with their unit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Simulations as people look at them: in the viewer or a notebook, as meshes and as films."""
 
-from __future__ import annotations
-
 import contextlib
 import html
 import sys

@@ -3,8 +3,6 @@
 Its player is that of reports. Sliders that move ask for another simulation (`player.js`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Clouds in three views, for a look at what was recorded."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

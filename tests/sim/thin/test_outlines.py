@@ -60,10 +60,6 @@ def test_the_skin_ends_at_the_outline():
     a, b, c = (x[part.triangles[:, k], :2] for k in range(3))
     areas = 0.5 * np.linalg.det(np.stack([b - a, c - a], axis=1))
     assert areas.min() > 0.0 and areas.sum() == pytest.approx(part.outline.area, rel=0.03)
-    # its transpose, for several frames at once
-    y, bar = np.random.default_rng(0).normal(size=(2, 3, len(x), 3))
-    back = np.sum(body.surface_transpose(y, bar) * y)
-    assert back == pytest.approx(np.sum(bar * body.surface(y)), rel=1e-12)
 
 
 # ---- mechanics -----------------------------------------------------------------------------------

@@ -184,9 +184,5 @@ def make_types(real: Any) -> SimpleNamespace:
         spin: wp.array2d(dtype=wp.vec3d)
         touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
 
-    return SimpleNamespace(
-        real=real, vec3=vec3, vec4=vec4, mat33=mat33, symmetric=symmetric, Model=Model,
-        compensates=real == wp.float32, Substep=Substep, Grid=Grid, Paths=make_path_type(real),
-        Grips=Grips, State=State, Records=Records, Clock=Clock, FramePlan=FramePlan,
-        ConditionsAdjoint=ConditionsAdjoint,
-    )  # fmt: skip
+    compensates, Paths = real == wp.float32, make_path_type(real)
+    return SimpleNamespace(**locals())

@@ -1,7 +1,5 @@
 """What a report says, in which order, and the numbers to remember at its top."""
 
-from __future__ import annotations
-
 import base64
 import os
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,6 @@
 """What was estimated: whether it can be used, the parameters, what was known before and after the
 lift, and how well it fits."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 from typing import Any

@@ -1,7 +1,5 @@
 """Residuals of a lift over time, and what the policy's actions reached."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
