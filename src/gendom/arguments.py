@@ -117,8 +117,9 @@ def check_list(name: str, values: Any, kind: type) -> None:
     """Check that values are a sequence of elements of a class."""
     if not isinstance(values, Sequence) or isinstance(values, str):
         raise ParameterError(f"{name} must be a list of {kind.__name__}, got {short_repr(values)}")
-    for k, value in enumerate(values):
-        check_type(f"{name}[{k}]", value, kind)
+    wrong = (k for k, value in enumerate(values) if not isinstance(value, kind))
+    if (k := next(wrong, None)) is not None:
+        check_type(f"{name}[{k}]", values[k], kind)
 
 
 def _array(name: str, values: Any, shapes: tuple[Shape, ...], kinds: str, noun: str) -> Array:

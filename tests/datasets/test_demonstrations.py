@@ -17,6 +17,7 @@ from gendom import __version__
 from gendom.datasets import demonstrations
 from gendom.datasets.demonstrations import generate, load, read_description
 from gendom.errors import DatasetError, GendomError, ParameterError
+from gendom.streams import Streams, uniform
 from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from throwing import Throwing
@@ -77,6 +78,18 @@ def test_columns_and_description(whole, tmp_path):
         assert row["speed"] == speed and row["mass"] == rng.uniform(1.0, 2.0)
         goal, fault = (None, "flew away") if failed else (speed**2 / 9.81, None)
         assert (row["goal_x"], row["fault"], row["ok"]) == (goal, fault, not failed)
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**32, 2**63 - 1, 2**140 + 3])
+@pytest.mark.parametrize("numbers", [range(3), range(2**32 - 40, 2**32)])
+def test_numbers_are_those_of_each_generator(seed, numbers):
+    """Before the generators are made, and after."""
+    streams, some = Streams(seed, numbers), np.arange(0, len(numbers), 2)
+    each = [np.random.default_rng([seed, i]) for i in numbers]
+    for _ in range(2):
+        np.testing.assert_array_equal(uniform(streams, 3), uniform(each, 3))
+        np.testing.assert_array_equal(uniform(streams, 2, some), uniform(each, 2, some))
+        assert [rng.integers(9) for rng in streams] == [rng.integers(9) for rng in each]
 
 
 def test_an_interrupted_set_keeps_whole_shards_and_goes_on(tmp_path, whole):

@@ -20,6 +20,7 @@ from gendom.materials import (
     QUANTITIES,
     STANDARD_GRAVITY,
     Cloth,
+    Items,
     Material,
     Rope,
     catalogue,
@@ -105,7 +106,10 @@ def test_columns_give_the_object_back(item):
     assert set(QUANTITIES) <= set(columns)
     many = {name: x * np.linspace(1.0, 1.05, 5) for name, x in columns.items()}
     each = [from_columns(item.kind, {n: x[k] for n, x in many.items()}) for k in range(5)]
-    assert items_from_columns(item.kind, many) == each
+    made = items_from_columns(item.kind, many)
+    assert list(made) == each and list(Items.of(each)[1:4]) == each[1:4]
+    assert list(made.some(np.array([3, 0]))) == [each[3], each[0]]
+    assert list(made.materials) == [one.material for one in each]
     # one that is too thick, though each number of it is that of others that are not
     many[item.sizes[1]][0], many[item.sizes[0]][3] = 1e-5, 1e-3
     with pytest.raises(ParameterError, match=f"{item.sizes[0]} 0.001 m is no {item.kind}"):

@@ -9,6 +9,7 @@ interrupted.
 
 from __future__ import annotations
 
+import atexit
 import codecs
 import gc
 import io
@@ -82,6 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     gc.set_threshold(100_000)  # most objects live on: looking for cycles took a twentieth and more
+    atexit.register(gc.freeze)  # nor are they looked for at the end, which took 0.3 s
     words = list(sys.argv[1:] if argv is None else argv)
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # it was closed

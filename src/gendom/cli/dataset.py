@@ -82,11 +82,11 @@ class Command(Where):
 
 def summarize(table: pa.Table) -> dict[str, Any]:
     """How many demonstrations a set holds, how many failed, and the goals they reached."""
-    ok = table["ok"].to_numpy()
-    goals = {}
+    # `to_numpy` would import pandas
+    ok, goals = np.array(table["ok"].to_pylist()), {}
     for name in table.column_names:
-        values = table[name].to_numpy()[ok]
-        if name.startswith("goal_") and len(values):
+        if name.startswith("goal_") and ok.any():
+            values = np.array(table[name].to_pylist(), dtype=float)[ok]
             low, median, high = np.percentile(values, [0, 50, 100])
             goals[name] = {"min": low, "median": median, "max": high}
     return {"size": len(table), "failed": int((~ok).sum()), "goals": goals}

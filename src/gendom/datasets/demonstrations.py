@@ -20,14 +20,11 @@ import functools
 import hashlib
 import json
 import logging
-import multiprocessing
 import os
 import queue
-import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +42,7 @@ from gendom.errors import DatasetError
 from gendom.files import atomic_path, write_json
 from gendom.materials.names import current_name
 from gendom.reading import read_bytes, read_json, record_of
+from gendom.streams import Streams
 
 FORMAT = "gendom-demonstrations/2"
 
@@ -57,10 +55,9 @@ SHARD_SIZE = {"cpu": 4096, "cuda": 65536}
 _DESCRIPTION, _LOCK = "dataset.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 _IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is simulated
-_HOSTS = 4  # processes that draw for GPUs
 _WORKERS = 8  # of a cluster, at least
 _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
-_MOST_TOGETHER = 4096
+_MOST_TOGETHER = 8192
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
 _COLUMNS = {"demonstration": pa.int64(), "ok": pa.bool_(), "fault": pa.string()}  # others: float64
@@ -161,7 +158,7 @@ def generate(
         shard_size = int(read_description(folder)["shard_size"]) if begun else usual
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
         require(value >= least, f"is {value}", where=name, fix=f"give {least} or more")
-    most = MOST_SHARDS * shard_size
+    most = min(MOST_SHARDS * shard_size, 1 << 32)
     require(size <= most, f"is {size}", where="size", fix=f"give {most} at most")
     description = {"format": FORMAT, "gendom": __version__, **source.about(), "size": size}
     # rounding differs between CPU and CUDA, not between two cards
@@ -215,8 +212,7 @@ def _complete(
         jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
     simulate = functools.partial(_simulate, source, seed=seed)
     if cluster is None:
-        draw = functools.partial(_draw, source, seed=seed)
-        results = _on_devices(simulate, draw, jobs, devices)
+        results = _on_devices(simulate, jobs, devices)
     else:
         from gendom.datasets.cluster import on_cluster
 
@@ -228,7 +224,8 @@ def _complete(
         report(done, size)
         if sum(map(len, parts[number])) < min(shard_size, size - number * shard_size):
             continue
-        table = pa.concat_tables(parts.pop(number)).sort_by("demonstration")
+        own = sorted(parts.pop(number), key=lambda rows: rows["demonstration"][0].as_py())
+        table = pa.concat_tables(own).combine_chunks()
         path = _shard_path(folder, number)
         with atomic_path(path) as temporary:
             tagged = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
@@ -277,7 +274,6 @@ class _StoppedError(Exception):
 
 def _on_devices(
     simulate: Callable[..., dict[str, Any]],
-    draw: Callable[[range], Columns],
     jobs: list[range],
     devices: list[str],
 ) -> Iterator[tuple[range, dict[str, Any]]]:
@@ -299,11 +295,11 @@ def _on_devices(
     def work(job: range) -> dict[str, Any]:
         device = free.get()
         try:
-            return simulate(job, device=device, on_frame=go_on, draws=drawn(job))
+            return simulate(job, device=device, on_frame=go_on)
         finally:
             free.put(device)
 
-    with _drawing(draw, jobs) as drawn, ThreadPoolExecutor(max_workers=len(places)) as pool:
+    with ThreadPoolExecutor(max_workers=len(places)) as pool:
         threading.Thread(target=_open_driver, args=[devices[0]], daemon=True).start()
         at_work = {pool.submit(work, job): job for job in jobs}
         try:
@@ -312,35 +308,6 @@ def _on_devices(
         finally:
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-@contextmanager
-def _drawing(
-    draw: Callable[[range], Columns], jobs: list[range]
-) -> Iterator[Callable[[range], Columns]]:
-    """What draws the inputs of jobs: branches of this process, while it imports Warp and opens a
-    GPU, which it must not have done before."""
-    hosts = min(_HOSTS, len(jobs), len(getattr(os, "sched_getaffinity", lambda _: ())(0)) - 1)
-    if hosts < 1 or "warp" in sys.modules:
-        yield draw
-        return
-    fork = multiprocessing.get_context("fork")
-    silent = signal.SIGINT, signal.SIG_IGN  # an interrupt is the parent's
-    _forked["draw"] = draw
-    with ProcessPoolExecutor(hosts, fork, signal.signal, silent) as pool:
-        drawn = {job: pool.submit(_draw_forked, job) for job in jobs}
-        try:
-            yield lambda job: drawn.pop(job).result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _draw_forked(job: range) -> Columns:
-    return _forked["draw"](job)
-
-
-_forked: dict[str, Callable[[range], Columns]] = {}
-"""What processes are made for: it comes with the branch, unpickled."""
 
 
 def _open_driver(device: str) -> None:
@@ -524,8 +491,8 @@ def _read_shard(
         raise DatasetError(f"is damaged ({reason})", where=str(path), fix=fix) from None
     wanted(about == identity, "belongs to another set")
     first = number * identity["shard_size"]
-    named = rows["demonstration"].to_numpy()
-    in_order = len(named) and np.array_equal(named, first + np.arange(len(named)))
+    named = pa.chunked_array([_column(first + np.arange(len(rows)))])
+    in_order = len(rows) and rows["demonstration"].equals(named)
     wanted(in_order, f"does not hold demonstrations {first} and following")
     return rows
 
@@ -540,10 +507,6 @@ def _unpacked(file: pq.ParquetFile) -> int:
     return bytes_
 
 
-def _draw(source: DemonstrationSource, indices: range, *, seed: int) -> Columns:
-    return source.draw([np.random.default_rng([seed, i]) for i in indices])
-
-
 def _simulate(
     source: DemonstrationSource,
     indices: range,
@@ -551,20 +514,29 @@ def _simulate(
     seed: int,
     device: str,
     on_frame: Callable[[int], None] | None = None,
-    draws: Columns | None = None,
 ) -> dict[str, Any]:
     """Draw and simulate the demonstrations with these numbers: columns, and `fault`."""
-    draws = _draw(source, indices, seed=seed) if draws is None else draws
+    draws = source.draw(Streams(seed, indices))
     outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
     return {**draws, **outcomes.columns, "fault": outcomes.faults}
 
 
 def _table(indices: range, found: dict[str, Any]) -> pa.Table:
     """What `_simulate` found, as rows of a shard."""
-    faults = found.pop("fault")
-    columns = {"demonstration": pa.array(indices, pa.int64())}
-    for name, values in found.items():
-        columns[name] = pa.array(values, pa.float64(), from_pandas=True)  # NaN becomes null
-    columns["ok"] = pa.array([fault is None for fault in faults])
-    columns["fault"] = pa.array(faults, pa.string())
+    faults, fine = found.pop("fault"), np.full(len(indices), True)
+    fine[[n for n, fault in enumerate(faults) if fault is not None]] = False
+    columns = {"demonstration": _column(np.array(indices, dtype=np.int64))}
+    columns |= {name: _column(np.array(values, dtype=float)) for name, values in found.items()}
+    columns["ok"] = _column(fine)
+    none = pa.nulls(len(faults), pa.string())
+    columns["fault"] = none if fine.all() else pa.array(faults, pa.string())
     return pa.table(columns)
+
+
+def _column(values: Array) -> pa.Array:
+    """Numbers, or whether something holds; NaN is null. `pyarrow.array` would import pandas."""
+    missing = np.isnan(values)
+    bits = [np.packbits(of, bitorder="little") for of in (~missing, values) if of.dtype == bool]
+    buffers = [bits[0] if missing.any() else None, bits[1] if len(bits) > 1 else values]
+    buffers = [None if of is None else pa.py_buffer(of) for of in buffers]
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), buffers)

@@ -11,9 +11,9 @@ weight. So objects of any size share one task and one policy, as far as only `PA
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +21,17 @@ from numpy.typing import ArrayLike
 from gendom.arguments import check_choice
 from gendom.arrays import Array
 from gendom.errors import ParameterError
-from gendom.materials.names import current_name
-from gendom.materials.parameters import E_over_rho_of, Material, bending_length
+from gendom.materials.names import with_current_names
+from gendom.materials.parameters import (
+    FIELDS,
+    E_over_rho_of,
+    Material,
+    Rows,
+    bending_length,
+    material_of,
+    parameters_of,
+    unchecked,
+)
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2]."""
@@ -166,6 +175,12 @@ def size_of(item: Item) -> float:
     return getattr(item, item.sizes[0])
 
 
+def sizes_of(items: Sequence[Item]) -> Array:
+    """[N] larger sizes of objects of one kind [m]."""
+    items = Items.of(items)
+    return items.columns[KINDS[items.kind].sizes[0]]
+
+
 def thickness_of(item: Item) -> float:
     """The smaller size [m]."""
     return getattr(item, item.sizes[1])
@@ -249,41 +264,62 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
     return items_from_columns(kind, {name: [x] for name, x in columns.items()})[0]
 
 
+class Items(Rows[Item]):
+    """N objects of one kind as columns [N]: sizes, friction and parameters of the materials."""
+
+    def __init__(self, kind: str, columns: Mapping[str, Array]):
+        super().__init__(columns, self._made)
+        self.kind = kind
+
+    @classmethod
+    def of(cls, items: Sequence[Item]) -> Items:
+        """Objects of one kind that are there already, one at least."""
+        if isinstance(items, cls):
+            return items
+        own = {n: np.array([getattr(item, n) for item in items]) for n in _own(items[0].kind)}
+        return cls(items[0].kind, {**own, **parameters_of([item.material for item in items])})
+
+    @property
+    def materials(self) -> Rows[Material]:
+        return Rows({name: self.columns[name] for name in FIELDS}, material_of)
+
+    def _made(self, row: dict[str, float]) -> Item:
+        of = {name: row[name] for name in _own(self.kind)}
+        return unchecked(KINDS[self.kind], {**of, "material": material_of(row)})
+
+    def check(self) -> None:
+        """Refuse what is out of its range, as one object does."""
+        for item in self:
+            replace(item, material=replace(item.material))
+
+
+def _own(kind: str) -> tuple[str, ...]:
+    """What an object has besides its material."""
+    return (*KINDS[kind].sizes, "friction")
+
+
 def items_from_columns(
     kind: str, columns: Mapping[str, ArrayLike], *, like: Item | None = None
-) -> list[Item]:
+) -> Items:
     """N objects at once from columns [N], each as of `from_columns`; what no column has is as of
     the object that they are ``like``, if one is given."""
-    made, usual = KINDS[kind], vars(like.material if like else Material())
-    columns = {current_name(name): values for name, values in columns.items()}
-    own, of_material = (*made.sizes, "friction"), ("E", "nu", "density", "damping")
-    numbers = np.array([columns[name] for name in (*own, *of_material)], dtype=float)
-
-    def made_of(rows: Array, checked: bool) -> list[Item]:
-        found = []
-        for *sizes, E, nu, density, damping in rows.tolist():
-            of = {**usual, "E": E, "nu": nu, "density": density, "damping": damping}
-            material = _unchecked(Material, of) if checked else Material(**of)
-            of = {**dict(zip(own, sizes, strict=True)), "material": material}
-            found.append(_unchecked(made, of) if checked else made(**of))
-        return found
-
-    if numbers.shape[1] <= 3:
-        return made_of(numbers.T, False)
+    columns, usual = with_current_names(columns), like.material if like else Material()
+    own = (*_own(kind), "E", "nu", "density", "damping")
+    numbers = {name: np.array(columns[name], dtype=float) for name in own}
+    count = len(numbers["E"])
+    numbers |= {n: np.repeat(parameters_of([usual])[n], count) for n in FIELDS if n not in own}
+    items = Items(kind, numbers)
+    if not count:
+        return items
     # what is checked are ranges, and thickness over size: all is right if the extremes are
-    thickest = numbers[:, np.argmax(numbers[1] - 0.2 * numbers[0])]
+    large, small = (numbers[name] for name in KINDS[kind].sizes)
+    thickest = np.argmax(small - 0.2 * large)
     try:
-        made_of(np.array([numbers.min(axis=1), numbers.max(axis=1), thickest]), False)
+        ends = {n: np.array([x.min(), x.max(), x[thickest]]) for n, x in numbers.items()}
+        Items(kind, ends).check()
     except ParameterError:
-        return made_of(numbers.T, False)  # tells which
-    return made_of(numbers.T, True)
-
-
-def _unchecked(of: type, values: dict[str, Any]) -> Any:
-    """A frozen dataclass of these values, all that it has."""
-    made = object.__new__(of)
-    vars(made).update(values)
-    return made
+        items.check()  # tells which
+    return items
 
 
 def dimensionless_columns(kind: str, columns: Mapping[str, Array]) -> dict[str, Array]:

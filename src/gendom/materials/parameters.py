@@ -1,15 +1,30 @@
 """Elastic parameters as estimated, simulated and shown to policies."""
 
+from __future__ import annotations
+
+import copy
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gendom.arguments import check_number, require
+from gendom.arrays import Array
 
 WEAVE = ("warp", "weft", "shear")
 """A shell's stiffness over that of an isotropic sheet, see `Material`."""
 
 OF_THIN = ("membrane", *WEAVE)
 """Parameters that only rods and shells have."""
+
+FIELDS = ("E", "nu", "density", "damping", *OF_THIN)
+"""Of a material."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +68,6 @@ class Material:
         check_number("damping", self.damping, least=0.0)
 
     @property
-    def has_threads(self) -> bool:
-        """Whether it has threads, which only shells do."""
-        return any(getattr(self, name) != 1.0 for name in WEAVE)
-
-    @property
     def in_plane(self) -> float:
         """Young's modulus of a shell in its plane, of a rod along it [Pa]."""
         return self.E if self.membrane is None else self.membrane
@@ -86,6 +96,48 @@ class Material:
         mu, lam = self.lame
         stiffness = (2.0 if self.damping > 0.0 else 1.0) * (lam + 2.0 * mu)
         return math.sqrt(stiffness / self.density)
+
+
+class Rows(Sequence[T]):
+    """N things as columns [N] by name; one is made of its numbers when it is looked at."""
+
+    def __init__(self, columns: Mapping[str, Array], make: Callable[[dict[str, float]], T]):
+        self.columns, self._make = columns, make
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def __getitem__(self, n):  # pyright: ignore[reportIncompatibleMethodOverride]
+        if isinstance(n, slice):
+            return self.some(np.arange(len(self))[n])
+        return self._make({name: float(values[n]) for name, values in self.columns.items()})
+
+    def some(self, which: NDArray[np.intp]) -> Self:
+        """Those at places [k]."""
+        made = copy.copy(self)
+        made.columns = {name: values[which] for name, values in self.columns.items()}
+        return made
+
+
+def parameters_of(materials: Sequence[Material]) -> Mapping[str, Array]:
+    """[W] parameters of W materials by name; a ``membrane`` that is not a number is that of E."""
+    if isinstance(materials, Rows):
+        return materials.columns
+    of = np.array(list(map(attrgetter(*FIELDS), materials)), dtype=float).reshape(-1, len(FIELDS))
+    return dict(zip(FIELDS, of.T, strict=True))
+
+
+def material_of(row: Mapping[str, float]) -> Material:
+    """The material of parameters that are in their ranges, as of `parameters_of`."""
+    of = {name: row[name] for name in FIELDS}
+    return unchecked(Material, of | {"membrane": of["membrane"] if of["membrane"] > 0.0 else None})
+
+
+def unchecked(of: type, values: dict[str, Any]) -> Any:
+    """A frozen dataclass of these values, all that it has."""
+    made = object.__new__(of)
+    vars(made).update(values)
+    return made
 
 
 def bending_length(E_over_rho: float, radius_of_gyration: float, gravity: float) -> float:

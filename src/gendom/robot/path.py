@@ -27,11 +27,11 @@ from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
+import scipy  # its parts are imported where they are used: all takes long
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
-from gendom.arrays import Array, placed
+from gendom.arrays import Array, placed, quaternion
 from gendom.errors import RobotError
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
     require(apart, what, where=where, fix=fix, error=RobotError)
     x = np.cross(y, z) / np.linalg.norm(np.cross(y, z))
     z = z / np.linalg.norm(z)
-    return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat()
+    return quaternion(np.stack([x, np.cross(z, x), z], axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +176,7 @@ class TcpPath(Timed):
         T = np.zeros((*time.shape, 4, 4))
         T[..., :3, 3] = self.position_at(time, blend)
         T[..., 3, 3] = 1.0
-        T[..., :3, :3] = Rotation.from_quat(self.quat_xyzw).as_matrix()
+        T[..., :3, :3] = scipy.spatial.transform.Rotation.from_quat(self.quat_xyzw).as_matrix()
         return T
 
     @property
@@ -194,7 +194,8 @@ class TcpPath(Timed):
     def moved(self, T: ArrayLike) -> TcpPath:
         """Return the path transformed by `T` [4, 4] [m] from its frame to another one."""
         T = np.asarray(T, dtype=float)
-        turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(self.quat_xyzw)
+        by = scipy.spatial.transform.Rotation
+        turned = by.from_matrix(T[:3, :3]) * by.from_quat(self.quat_xyzw)
         return replace(self, position=placed(T, self.position), quat_xyzw=turned.as_quat())
 
 
@@ -223,7 +224,7 @@ class TcpPaths:
         made._time, made._position = np.broadcast_to(time, position.shape[:2]), position
         made._own = np.ones(made._time.shape, dtype=bool)
         made._corner = _velocity_jumps(made._time, position).any(axis=2)
-        made._blend, made.events = np.repeat(made._blend, W), made.events * W
+        made._blend, made.events = np.broadcast_to(made._blend, W), made.events * W
         return made
 
     @cached_property
@@ -265,15 +266,16 @@ def _velocity_jumps(time: Array, position: Array) -> Array:
 def _rounded(time: Array, knots: Array, position: Array, blend: Array) -> Array:
     """[W, T, 3] W paths with knots [W, K] [s], [W, K, 3] [m] at times [T] or [W, T], each rounded
     off by its blend [W] [s]."""
-    jumps = _velocity_jumps(knots, position)
-    total = np.zeros((len(knots), time.shape[-1], 3))
+    jumps, total = _velocity_jumps(knots, position), np.zeros((3, len(knots), time.shape[-1]))
+    if knots.strides[0] == blend.strides[0] == 0:  # the same in all
+        knots, blend = knots[:1], blend[:1]
     # one after the other: a matrix product may round differently from call to call
     for k in np.flatnonzero(jumps.any(axis=(0, 2))):
         ramp = _ramp(time - knots[:, k, None], blend[:, None])
         for axis in np.flatnonzero(jumps[:, k].any(axis=0)):
-            total[..., axis] += ramp * jumps[:, k, axis, None]
-    total += position[:, :1]
-    return total
+            total[axis] += ramp * jumps[:, k, axis, None]
+    total += position[:, 0].T[..., None]
+    return np.moveaxis(total, 0, 2)
 
 
 def _ramp(t: Array, blend: Array) -> Array:

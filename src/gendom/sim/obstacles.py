@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.arguments import check_number, check_numbers, require
-from gendom.arrays import Array
+from gendom.arrays import Array, of_each
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Path
 
@@ -65,13 +65,13 @@ class Obstacle(Path):
         """Radius of the largest sphere inside [m]."""
         return self.core[1]
 
-    def pose_at(self, time: float) -> tuple[Array, Rotation]:
+    def pose_at(self, time: float) -> tuple[Array, Any]:
         """Centre [3] [m] and orientation at a time [s]."""
-        t, centre = np.asarray(self.time), self.position_at(time)
+        t, centre, of = np.asarray(self.time), self.position_at(time), scipy.spatial.transform
         if self.quat_xyzw is None:
-            return centre, Rotation.identity()
-        turned = Rotation.from_quat(self.quat_xyzw)
-        return centre, Slerp(t, turned)(np.clip(time, t[0], t[-1])) if len(t) > 1 else turned[0]
+            return centre, of.Rotation.identity()
+        turned = of.Rotation.from_quat(self.quat_xyzw)
+        return centre, of.Slerp(t, turned)(np.clip(time, t[0], t[-1])) if len(t) > 1 else turned[0]
 
     def distance(self, x: ArrayLike, time: float = 0.0) -> Array:
         """Signed distances [...] of places [..., 3] from its surface at a time [s], negative inside
@@ -110,7 +110,9 @@ class Capsule(Obstacle):
         ends = check_numbers("ends of a capsule", np.stack([np.asarray(a), np.asarray(b)]), (2, 3))
         along, length = ends[1] - ends[0], float(np.linalg.norm(ends[1] - ends[0]))
         require(length > 0.0, "a capsule's ends are the same place", fix="a Sphere")
-        turned = Rotation.align_vectors([along / length], [[0.0, 0.0, 1.0]])[0]
+        (turned, _) = scipy.spatial.transform.Rotation.align_vectors(
+            [along / length], [[0.0, 0.0, 1.0]]
+        )
         middle, q = ends.mean(axis=0), turned.as_quat()[None]
         return cls(position=middle, quat_xyzw=q, radius=radius, length=length, **more)
 
@@ -153,10 +155,8 @@ class Cuboid(Obstacle):
 def numbers_of_obstacles(every: Sequence[Sequence[Obstacle]]) -> Array:
     """[W, O, 23] what the thin engine's kernels know of obstacles, see ``native/surroundings.h``;
     they set the poses themselves."""
-    rows = [[[*of.core[0], of.core[1], of.friction] for of in some] for some in every]
-    sizes = np.reshape(
-        np.array(rows, dtype=float), (len(every), len(every[0]), -1 if rows[0] else 5)
-    )
+    rows = of_each(every, lambda some: [[*of.core[0], of.core[1], of.friction] for of in some])
+    sizes = rows.reshape(*rows.shape[:2], -1 if len(every[0]) else 5)
     return np.pad(sizes, ((0, 0), (0, 0), (0, 18)))
 
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -338,7 +337,7 @@ def _balanced(area: Array, place: Array, outline: Outline) -> Array:
     return area
 
 
-def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> coo_matrix:
+def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> Any:
     """``Cut.skin``: points within the outline, and for others the nearest place on the outline, by
     the bilinear shape functions of one of their cells."""
     n, columns = len(place), of.cells.shape[1] + 1
@@ -361,7 +360,7 @@ def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> coo_matrix:
         which.append(number[[b, b, b + 1, b + 1], [a, a + 1, a, a + 1]])
         weights.append(np.array([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]))
     entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(which))
-    return coo_matrix(entries, shape=(n, n))
+    return scipy.sparse.coo_matrix(entries, shape=(n, n))
 
 
 def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
@@ -369,7 +368,7 @@ def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
     widest = float(spacing.max())
     reach = CLOSEST * widest
     places, of, along, whole = outline.sampled(reach / 8.0)
-    i, j = KDTree(places).query_pairs(reach, output_type="ndarray").T
+    i, j = scipy.spatial.KDTree(places).query_pairs(reach, output_type="ndarray").T
     way = np.abs(along[i] - along[j])
     way = np.where(of[i] == of[j], np.minimum(way, whole[i] - way), np.inf)
     across = way > LEAST_WAY_AROUND * NARROWEST * widest

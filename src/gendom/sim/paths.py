@@ -20,9 +20,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import scipy
 import warp as wp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
 from gendom.sim.gripper import turns_of
@@ -205,8 +205,8 @@ class HostPaths:
         path, (knot, share, _, _) = self.arrays, self._at(g, w, t)
         q, turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)), path["turns"][w, g] == 1
         if turns.any():
-            turned = Rotation.from_rotvec(share * path["turn"][w, g, knot]).as_quat()
-            q[turns] = rotation.product(turned, path["orientation"][w, g, knot])[turns]
+            by = scipy.spatial.transform.Rotation.from_rotvec(share * path["turn"][w, g, knot])
+            q[turns] = rotation.product(by.as_quat(), path["orientation"][w, g, knot])[turns]
         centre, velocity, spin = self.motion(g, w, t)
         return Pose(centre, q, velocity, spin)
 
@@ -237,7 +237,7 @@ class HostPaths:
         bar = np.swapaxes(jacobian(share * turn), 1, 2) @ R_bar
         bar = (by_turn + share * bar[..., 0])[..., None]
         after, before = (np.swapaxes(jacobian(sign * turn), 1, 2) for sign in (1.0, -1.0))
-        back = Rotation.from_rotvec(-share * turn).as_quat()
+        back = scipy.spatial.transform.Rotation.from_rotvec(-share * turn).as_quat()
         gone = rotation.turned(back, R_bar[..., 0])
         self.turn_bar[w, g, knot] += turns * (gone - np.linalg.solve(before, bar)[..., 0])
         self.turn_bar[w, g, knot + 1] += turns * np.linalg.solve(after, bar)[..., 0]

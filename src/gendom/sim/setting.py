@@ -1,7 +1,7 @@
 """What an engine is given: the physics around a body, how it is solved, the checked
 arguments of a simulator, and the frames to record."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -153,6 +153,8 @@ class Setting(Physics):
 
     body: Body
     materials: Sequence[Material]
+    parameters: Mapping[str, Array]
+    """Those of the materials, as of ``parameters_of``."""
     grippers: Grippers
     table: Table | None
     obstacles: Sequence[Sequence[Obstacle]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from gendom.arguments import (
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.materials.parameters import WEAVE
+from gendom.materials.parameters import WEAVE, Rows, parameters_of
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
@@ -80,7 +80,8 @@ class Simulator(Shown):
         start_time: float = 0.0,
     ):
         check_type("body", body, Body)
-        check_list("materials", materials, Material)
+        if not isinstance(materials, Rows):
+            check_list("materials", materials, Material)
         check_type("table", table, Table, optional=True)
         check_type("physics", physics, Physics)
         check_type("solver", solver, Solver)
@@ -90,21 +91,23 @@ class Simulator(Shown):
         thin, W = engine_of(body, solver) == "thin", len(materials)
         every, hands = of_worlds("obstacles", obstacles, Obstacle, W), hands_of_worlds(grippers, W)
         rest = body.points if thin else body.x
-        _check_fits(body, len(rest), thin, materials, any(map(len, every)), variation)
+        parameters = parameters_of(materials)
+        _check_fits(body, len(rest), thin, parameters, any(map(len, every)), variation)
         x = rest if positions is None else positions
         x = check_numbers("positions", x, rest.shape, ("W", *rest.shape))
         section, unit = (1, body.thickness) if thin else (body.section, body.dx)
         centres = x.reshape(*x.shape[:-2], -1, section, 3).mean(axis=-2)
         check_clear(body, centres, START_INSIDE * unit, table, every, start_time)
         self.body = body
-        self.materials = tuple(materials)
+        self.materials = materials if isinstance(materials, Rows) else tuple(materials)
         self.time = start_time
         self.dtype = solver.dtype or ("float64" if thin else "float32")
         self.device = open_device(solver.device)
         setting = Setting(
-            body=body, materials=self.materials, grippers=hands, table=table, obstacles=every,
-            positions=x, start_time=start_time, dtype=self.dtype, device=self.device,
-            threads=solver.threads or cores(), variation=variation, **vars(physics),
+            body=body, materials=self.materials, parameters=parameters, grippers=hands,
+            table=table, obstacles=every, positions=x, start_time=start_time, dtype=self.dtype,
+            device=self.device, threads=solver.threads or cores(), variation=variation,
+            **vars(physics),
         )  # fmt: skip
         kind = ThinEngine if thin else MpmEngine
         with making:
@@ -276,15 +279,15 @@ def engine_of(body: Body, solver: Solver) -> str:
 
 
 def _check_fits(
-    body: Body, N: int, thin: bool, materials: Sequence[Material], meets: bool,
+    body: Body, N: int, thin: bool, parameters: Mapping[str, Array], meets: bool,
     variation: Variation,
 ) -> None:  # fmt: skip
     """Check that a body of N particles or points has what only some bodies may have."""
     require(N, "cloths with an outline are shells, not particles", fix="engine='thin'")
     variation.check(N)
     rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
-    membrane = any(m.membrane is not None for m in materials)
-    threads = any(m.has_threads for m in materials)
+    membrane = not np.isnan(parameters["membrane"]).all()
+    threads = any((parameters[name] != 1.0).any() for name in WEAVE)
     for where, given, allowed, only in (
         ("materials", membrane, thin, "rods and shells have a modulus of their own along them"),
         ("materials", threads, shell, f"shells have threads ({', '.join(WEAVE)})"),

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from gendom.arrays import Array, rigid
-from gendom.materials import STANDARD_GRAVITY, Item, size_of, unit_of
+from gendom.materials import STANDARD_GRAVITY, Item, size_of, sizes_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths
 from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
@@ -88,6 +88,9 @@ class RopeCasting(Task):
 
     def limits(self, item: Item) -> Array:
         return size_of(item) * np.array([MOVE_LENGTH])
+
+    def limits_of(self, items: Sequence[Item]) -> Array:
+        return sizes_of(items)[:, None, None] * np.array([MOVE_LENGTH])
 
     def scene(self, item: Item) -> Scene:
         L = size_of(item)

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from gendom.arrays import Array, rigid
-from gendom.materials import Item, size_of, unit_of
+from gendom.materials import Item, size_of, sizes_of, unit_of
 from gendom.robot.path import GripperEvent, TcpPath, TcpPaths, pointing
 from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
@@ -105,11 +105,14 @@ class RopeReaching(Task):
     def limits(self, item: Item) -> Array:
         return size_of(item) * np.array([RELEASE_X, RELEASE_Z])
 
+    def limits_of(self, items: Sequence[Item]) -> Array:
+        return sizes_of(items)[:, None, None] * np.array([RELEASE_X, RELEASE_Z])
+
     def margin(self, item: Item, action: Array) -> float:
-        near, far = RELEASE_DISTANCE
-        x, z = (action / size_of(item)).tolist()
-        distance = math.hypot(x - 1.0, z - TOP_HEIGHT)
-        return min(distance - near, far - distance)
+        return float(_margin(action / size_of(item)))
+
+    def margins(self, items: Sequence[Item], actions: Array) -> Array:
+        return _margin(actions / sizes_of(items)[:, None])
 
     def limits_note(self, item: Item) -> str:
         near, far = (limit * size_of(item) for limit in RELEASE_DISTANCE)
@@ -165,6 +168,13 @@ class RopeReaching(Task):
 
     def T_world_task(self, item: Item) -> Array:
         return rigid([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], ORIGIN)
+
+
+def _margin(release: Array) -> Array:
+    """How far points [..., 2] are within `RELEASE_DISTANCE`, all in rope lengths."""
+    near, far = RELEASE_DISTANCE
+    distance = np.hypot(release[..., 0] - 1.0, release[..., 1] - TOP_HEIGHT)
+    return np.minimum(distance - near, far - distance)
 
 
 POINTING_FORWARD = pointing((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))

@@ -28,6 +28,7 @@ from gendom.materials import (
     PARAMETERS,
     QUANTITIES,
     Item,
+    Items,
     Material,
     Rope,
     from_columns,
@@ -40,6 +41,7 @@ from gendom.materials import (
 from gendom.materials.names import with_current_names
 from gendom.reading import record_of
 from gendom.robot.path import TcpPath, TcpPaths
+from gendom.streams import uniform
 
 ROPE = Rope(length=0.25, diameter=0.014, material=Material(damping=0.004))
 """The rope that demonstrations are simulated with, where a task asks for no other."""
@@ -69,7 +71,9 @@ SLACK = 1e-6
 
 _HALVINGS = 30
 
-_MANY = {"tool_path": "tool_paths", "outcome": "outcomes_of"}
+_MANY = {
+    "limits": "limits_of", "margin": "margins", "tool_path": "tool_paths", "outcome": "outcomes_of",
+}  # fmt: skip
 """Of a task: what it says of an object, and of many at once."""
 
 
@@ -294,7 +298,17 @@ class Task(ABC):
         0: it is not allowed."""
         return math.inf
 
-    # the same of W objects of one size, which a task may say faster
+    # the same of W objects, of one size, which a task may say faster
+
+    def limits_of(self, items: Sequence[Item]) -> Array:
+        """[W, A, 2] limits; objects may be of several sizes."""
+        return np.array([self.limits(item) for item in items])
+
+    def margins(self, items: Sequence[Item], actions: Array) -> Array:
+        """[W] margins of actions [W, A]; objects may be of several sizes."""
+        if type(self).margin is Task.margin:
+            return np.full(len(items), math.inf)
+        return np.array([self.margin(i, a) for i, a in zip(items, actions, strict=True)])
 
     def tool_paths(self, items: Sequence[Item], actions: Array) -> TcpPaths:
         """Paths of W actions [W, A]."""
@@ -395,14 +409,14 @@ class Task(ABC):
             known, units = np.array(self.candidates), map(self.action_units, items)
             one = [known[rng.integers(len(known))] for rng in rngs]
             return np.array([a * u for a, u in zip(one, units, strict=True)])
-        low, high = np.moveaxis(np.array([self.limits(item) for item in items]), 2, 0)
+        items, limits = Items.of(items), self.limits_of(items)
+        (low, high), left = np.moveaxis(limits, 2, 0), np.arange(len(items))
         drawn = np.empty_like(low)
-        left = list(range(len(items)))
         for _ in range(DRAWS):
-            share = np.array([rngs[w].random(low.shape[1]) for w in left])
+            share = uniform(rngs, low.shape[1], left)
             drawn[left] = low[left] + (high - low)[left] * share
-            left = [w for w in left if self.margin(items[w], drawn[w]) < 0.0]
-            if not left:
+            left = left[self.margins(items.some(left), drawn[left]) < 0.0]
+            if not len(left):
                 return drawn
         raise ParameterError(f"no action of {self.name} is allowed for this {self.kind}")
 
@@ -412,7 +426,7 @@ class Task(ABC):
         """An object with parameters drawn from `ranges`: log-uniformly where ratios count."""
         return self.draw_items([rng])[0]
 
-    def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
+    def draw_items(self, rngs: Sequence[np.random.Generator]) -> Items:
         """W objects, each drawn as `draw_item` from its own generator."""
         return items_from_columns(self.kind, self.draw_columns(rngs), like=self.item)
 
@@ -420,7 +434,7 @@ class Task(ABC):
         """The same as columns [W], see `gendom.materials.to_columns`."""
         # in their own order, so that draws do not depend on the mapping's
         names = [name for name in DRAWN if name in self.ranges]
-        shares = np.array([rng.random(len(names)) for rng in rngs])
+        shares = uniform(rngs, len(names))
         drawn = {}
         for name, share in zip(names, shares.T, strict=True):
             low, high = self.ranges[name]

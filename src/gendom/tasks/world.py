@@ -6,15 +6,15 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
-from gendom.arrays import Array
-from gendom.materials import AIR_DENSITY, Item, Rope, size_of, thickness_of
+from gendom.arrays import Array, distinct, of_each
+from gendom.materials import AIR_DENSITY, Item, Items, Rope
+from gendom.materials.parameters import unchecked
 from gendom.robot.path import GripperEvent, TcpPaths
 from gendom.sim import Body, Gripper, Grippers, Physics, Solver, Table, Variation, cloth, rope
 from gendom.sim.bodies import CELLS_ACROSS
@@ -76,6 +76,9 @@ class Simulation:
         """
         wanted = check_actions(task, items, actions)
         found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
+        if not found:
+            return found
+        items = Items.of(items)
         groups = self._groups(task, items)
         if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
             what = "layers of cloth that touch stick to each other in the MPM; engine 'thin' keeps"
@@ -83,9 +86,8 @@ class Simulation:
         parts = [some for g in groups for some in np.split(g, range(BATCH, len(g), BATCH))]
         while parts:
             some = parts.pop(0)
-            own = [items[w] for w in some]
             try:
-                made = self._side_by_side(task, own, wanted[some], keep, on_frame)
+                made = self._side_by_side(task, items.some(some), wanted[some], keep, on_frame)
             except RuntimeError as error:  # Warp's own
                 if "allocate" not in str(error) or len(some) == 1:
                     raise
@@ -119,10 +121,11 @@ class Simulation:
 
         scene = task.scene(items[0])
         body, x = self.body(task, items[0])
-        friction, thick = np.array([(item.friction, thickness_of(item)) for item in items]).T
+        items = Items.of(items)
+        friction, thick = (items.columns[name] for name in ("friction", items[0].sizes[1]))
         simulator = Simulator(
             body,
-            [item.material for item in items],
+            items.materials,
             grippers=grippers(scene, paths, begin),
             table=None if scene.table is None else Table(height=scene.table, friction=friction),
             positions=x,
@@ -160,22 +163,24 @@ class Simulation:
         axes = (along, across, np.cross(along, across))
         return body, origin + sum(x[:, k, None] * axis for k, axis in enumerate(axes))
 
-    def _groups(self, task: Task, items: Sequence[Item]) -> list[NDArray[np.intp]]:
+    def _groups(self, task: Task, items: Items) -> list[NDArray[np.intp]]:
         """Indices of objects that can be simulated side by side: of one size, and of one thickness
         unless they are rods that meet nothing. Those of like stiffness stand beside each other: a
         batch takes as long as its stiffest."""
-        scene = task.scene(items[0] if items else task.item)
+        scene, of = task.scene(items[0]), items.columns
         meets = scene.table is not None or scene.self_contact
         alone = self.engine == "thin" and task.kind == "rope" and not meets
-        keys = [(size_of(item), 0.0 if alone else thickness_of(item)) for item in items]
-        speed = np.array([item.material.wave_speed for item in items])
-        groups = [np.flatnonzero([k == key for k in keys]) for key in dict.fromkeys(keys)]
-        return [group[np.argsort(-speed[group], kind="stable")] for group in groups]
+        size, thick = (of[name] for name in items[0].sizes)
+        keys = np.stack([size, thick * (not alone)], axis=1)
+        stiff = of["E"] / of["density"]
+        ways, which = distinct(keys)
+        groups = [np.flatnonzero(which == way) for way in range(len(ways))]
+        return [group[np.argsort(-stiff[group], kind="stable")] for group in groups]
 
     def _side_by_side(
         self,
         task: Task,
-        items: Sequence[Item],
+        items: Items,
         actions: Array,
         keep: bool,
         on_frame: Callable[[int], None] | None,
@@ -195,7 +200,7 @@ class Simulation:
             tip = np.flatnonzero(along == along.max())
         seen = None if all_points else tip
         recorded = simulator.run(times, on_frame=on_frame, particles=seen, keep_going=True)
-        hands, opens = paths.position_at(times), np.array(list(map(opening, paths.events)))
+        hands, opens = paths.position_at(times), of_each(paths.events, opening)
         return judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
 
 
@@ -216,14 +221,17 @@ def judged(
     lattice = _lattice(body, simulator.num_points) if task.kind == "cloth" else (0, 0)
     points = middle_of(body, np.ascontiguousarray(np.swapaxes(x, 0, 1), dtype=float))
     seen = Observed(times=times, points=points, hand=hands, opens=opens, lattice=lattice)
-    whole = [w for w in range(len(items)) if w not in simulator.failures]
-    some = seen if len(whole) == len(items) else seen[whole]
-    found = task.outcomes_of([items[w] for w in whole], some) if whole else {}
+    whole = np.setdiff1d(np.arange(len(items)), list(simulator.failures))
+    some, own = seen, Items.of(items)
+    if len(whole) < len(items):
+        some, own = seen[whole], own.some(whole)
+    found = task.outcomes_of(own, some) if len(whole) else {}
     rows = zip(*(values.tolist() for values in found.values()), strict=True)
     outcomes = [Outcome(values={})] * len(items)
     for w, row in zip(whole, rows, strict=True):
         values = dict(zip(found, row, strict=True))
-        outcomes[w] = Outcome(values=values, seen=seen[w] if keep else None)
+        own = {"values": values, "fault": None, "seen": seen[w] if keep else None}
+        outcomes[w] = unchecked(Outcome, own)
     for w, error in simulator.failures.items():
         when = "" if error.time is None else f" at {error.time:.4f} s"
         outcomes[w] = Outcome(values={}, fault=error.what + when)
@@ -239,11 +247,11 @@ def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Arra
     wanted = np.asarray(actions, dtype=float).reshape(-1, len(task.actions))
     what, fits = f"are of shape {np.shape(actions)} for {len(items)} objects", len(wanted)
     require(fits == len(items), what, where="actions", fix="give one for each object")
-    low, high = np.moveaxis(np.array([task.limits(item) for item in items]), 2, 0)
-    within = np.all((wanted >= low) & (wanted <= high), axis=1)
-    for item, action, inside in zip(items, wanted, within, strict=True):
-        if not (inside and task.margin(item, action) >= 0.0):
-            task.check_action(item, action)
+    if len(items):
+        low, high = np.moveaxis(task.limits_of(items), 2, 0)
+        within = np.all((wanted >= low) & (wanted <= high), axis=1)
+        for w in np.flatnonzero(~(within & (task.margins(items, wanted) >= 0.0))).tolist():
+            task.check_action(items[w], wanted[w])
     return wanted
 
 
@@ -259,12 +267,12 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
     Raises:
         ParameterError: Tools do not close equally often.
     """
-    holds = [_holds(events, begin) for events in paths.events]
-    often = {len(h) for h in holds}
+    often = set(of_each(paths.events, lambda events: sum(e.closed for e in events)).tolist())
     require(len(often) == 1, f"the tool must close equally often in all worlds, got {often}")
     time, position, _ = paths.sampled()
     W, K = time.shape
-    hold_from, hold_until = np.moveaxis(np.array(holds).reshape(W, -1, 2), 2, 0)
+    holds = of_each(paths.events, lambda events: _holds(events, begin)).reshape(W, -1, 2)
+    hold_from, hold_until = np.moveaxis(holds, 2, 0)
     tools = hold_from.shape[1]
     arrays = {
         "time": np.repeat(time[:, None], tools, axis=1),
@@ -282,7 +290,6 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
     return Grippers(arrays)
 
 
-@lru_cache
 def _holds(events: tuple[GripperEvent, ...], begin: float) -> list[tuple[float, float]]:
     """When the tool closes and opens again, each time that it closes [s]."""
     found = []

@@ -6,8 +6,8 @@ See ``native/contact.h`` and its adjoint.
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -88,7 +88,8 @@ def check_cloth(x: Array, model: Any) -> None:
     fix = "give other positions, or no self_contact"
     places = np.stack(np.unravel_index(model.at, model.shape), axis=1)
 
-    near = KDTree(middles).sparse_distance_matrix(KDTree(centres), reach, output_type="ndarray")
+    tree = scipy.spatial.KDTree
+    near = tree(middles).sparse_distance_matrix(tree(centres), reach, output_type="ndarray")
     e, t = edges[near["i"]], triangles[near["j"]]
     apart = ~(e[:, :, None] == t[:, None]).any(axis=(1, 2))
     e, t = e[apart], t[apart]
@@ -101,8 +102,8 @@ def check_cloth(x: Array, model: Any) -> None:
             fix=fix,
         )
 
-    layers = KDTree(x).sparse_distance_matrix(
-        KDTree(centres), reach + model.thickness, output_type="ndarray"
+    layers = tree(x).sparse_distance_matrix(
+        tree(centres), reach + model.thickness, output_type="ndarray"
     )
     p, t = layers["i"], layers["j"]
     along = np.abs(places[p][:, None] - places[triangles[t]]).min(axis=1).max(axis=1)

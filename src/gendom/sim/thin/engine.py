@@ -49,8 +49,8 @@ class ThinEngine(Engine):
         self.num_points = n
         self.air_density = spread(setting.air_density, (W,), "air_density")
         self.model = m = (RodModel if setting.body.kind == "rope" else ShellModel)(setting)
-        damped = np.array([material.damping > 0.0 for material in setting.materials])
-        share = cfl or np.where(damped, CFL, m.undamped_cfl)
+        damping = setting.parameters["damping"]
+        share = cfl or np.where(damping > 0.0, CFL, m.undamped_cfl)
         limits = substep or share * m.longest_step()
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         fix = "a softer or denser material, fewer points, or a longer substep"
@@ -90,13 +90,15 @@ class ThinEngine(Engine):
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = self.first_positions(n)
         # identical initial positions are looked at once
-        self.state.assign(self._first_state(x, x[:1] if x.strides[0] == 0 else x))
+        self.first = self._first_state(x[:1] if x.strides[0] == 0 else x)
+        """The state on the host until something moves, or None."""
+        self.state.assign(np.ascontiguousarray(self.first))
         self._loaded: set[str] = set()
         self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.device_model, self.state])
 
-    def _first_state(self, x: Array, different: Array) -> Array:
-        """State [W, ., P] at rest, with points [W, n, 3], of which some or one are different."""
+    def _first_state(self, different: Array) -> Array:
+        """State [W, ., P] at rest, with points [W, n, 3], or [1, n, 3] in all worlds."""
         for lines in self.model.lines:
             step = np.linalg.norm(np.diff(lines.of(different), axis=1), axis=2)
             stretch = (step / lines.length - 1.0).reshape(len(different), *lines.exist.shape)
@@ -111,19 +113,20 @@ class ThinEngine(Engine):
         if self.setting.self_contact:
             for one in different:
                 self.model.check_apart(one)
-        state = np.zeros(self.state.shape)
-        state[:, X, self.slots] = np.swapaxes(x, 1, 2)
+        state = np.zeros((len(different), *self.state.shape[1:]), dtype=self.setting.dtype)
+        state[:, X, self.slots] = np.swapaxes(different, 1, 2)
         if isinstance(self.model, RodModel):
             state[:, Q.stop - 1] = 1.0
-            state[:, Q, self.slots[:-1]] = np.swapaxes(self.model.directions(different), 1, 2)
-        return state
+            q = self.model.directions(different)
+            state[:, Q, self.slots[:-1]] = np.swapaxes(q, 1, 2)
+        return np.broadcast_to(state, self.state.shape)
 
     # ---- state -----------------------------------------------------------------------------------
 
     def rows(self, values: Array) -> Array:
         """Arrange values [..., n] in rows [..., P]."""
         some = values[:1] if values.strides[0] == 0 else values  # the same in all
-        rows = np.zeros((*some.shape[:-1], self.row_length))
+        rows = np.zeros((*some.shape[:-1], self.row_length), dtype=self.setting.dtype)
         rows[..., self.columns] = some
         return np.broadcast_to(rows, (*values.shape[:-1], self.row_length))
 
@@ -131,9 +134,16 @@ class ThinEngine(Engine):
         """Components [W, n, k] of the state, or of other rows."""
         return self.pick(which, (self.state if rows is None else rows).numpy())
 
-    def pick(self, which: slice, rows: Array, worlds: Any = slice(None)) -> Array:
+    def pick(self, which: slice, rows: Array, worlds: NDArray[np.int64] | None = None) -> Array:
         """Components [k, n, .] of rows [W, ., P], of worlds [k]."""
-        return np.swapaxes(rows[worlds, which][..., self.columns], 1, 2).astype(float)
+        alike = worlds is not None and rows.strides[0] == 0
+        some = rows[:1] if alike else rows if worlds is None else rows[self.every(worlds)]
+        found = np.swapaxes(some[:, which][..., self.columns], 1, 2).astype(float)
+        return np.broadcast_to(found, (len(worlds), *found.shape[1:])) if alike else found
+
+    def every(self, worlds: NDArray[np.int64]) -> Any:
+        """Worlds [k] as an index: all of them as a slice, which copies nothing."""
+        return slice(None) if len(worlds) == self.num_worlds else worlds
 
     def positions(self) -> Array:
         """Positions of points, [W, n, 3] [m]."""
@@ -158,6 +168,7 @@ class ThinEngine(Engine):
         v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
         rows = self.state.numpy()
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
+        self.first = None
         if isinstance(self.model, RodModel):
             spins = self.model.spins(self.component(X), v)
             rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spins, 1, 2)
@@ -184,7 +195,9 @@ class ThinEngine(Engine):
         run = Run(self, Schedule(frames, self, most_steps), frames, kept)
         self.in_threads(partial(self._go, run, after), self.groups())
         self.used, self.now, self.last_dt = True, float(frames.times[-1]), run.plan.last_dt
-        frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
+        frames.x[...] = run.x.numpy().reshape(frames.x.shape)
+        if self.origin.any():
+            frames.x[...] += self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
         self.raise_failures(keep_going=frames.keep_going)
@@ -280,12 +293,13 @@ class ThinEngine(Engine):
         return events
 
     def _close(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
-        rows, pose = self.state.numpy(), self.paths.pose(g, worlds, now)
-        x, radius = self.pick(X, rows, worlds), self.stacked["radius"][worlds, g]
+        rows = self.state.numpy() if self.first is None else self.first
+        own, pose = self.every(worlds), self.paths.pose(g, worlds, now)
+        x, radius = self.pick(X, rows, worlds), self.stacked["radius"][own, g]
         q = self.pick(Q, rows, worlds)[:, :-1] if self.model.directed else x
-        given = (x, q, self.holds[worlds], radius, *vars(pose).values())
+        given = (x, q, self.holds[own], radius, *vars(pose).values())
         # worlds that begin alike hold alike
-        alike = all((values == values[:1]).all() for values in given)
+        alike = all(of.strides[0] == 0 or (of == of[:1]).all() for of in given)
         x1, q1, holds1, radius1, *of = (a[:1] if alike else a for a in given)
         held = self.model.held(x1, of[0], radius1, np.bitwise_or.reduce(holds1, axis=1))
         q1 = q1 if self.model.directed else None
@@ -303,9 +317,10 @@ class ThinEngine(Engine):
                 f"{self.stacked['radius'][w, g]:.4g} m, the nearest point {far:.4g} m away",
                 fix="move its path to the object",
             )
-        self.holds[worlds, g] = grip.holds
-        self.stiffer[worlds, g] = grip.stiffer
-        self._lead("place", worlds * self.closed.shape[1] + g, self.rows(grip.place))
+        self.holds[own, g] = grip.holds
+        self.stiffer[own, g] = grip.stiffer
+        place = self._led["place"].reshape(*self.closed.shape, -1, self.row_length)
+        place[own, g] = self.rows(grip.place)
         return Event(g, True, worlds, now, pose, grip, x)
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
@@ -313,10 +328,13 @@ class ThinEngine(Engine):
         x = self.pick(X, rows, worlds)
         pose = self.paths.pose(g, worlds, now)
         grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), [])
-        v, spin = released(x, pose, grip.holds)
-        rows[worlds, V] += self.rows(np.swapaxes(v, 1, 2))
-        if self.model.directed:
-            rows[worlds, SPIN] += self.rows(np.swapaxes(spin, 1, 2))
+        held = np.flatnonzero(grip.holds.any(axis=0))
+        w, at = worlds[:, None], self.slots[held]
+        for which, some in zip(
+            (V, SPIN), released(x[:, held], pose, grip.holds[:, held]), strict=True
+        ):
+            for k in range(3 * (which is V or self.model.directed)):
+                rows[w, which.start + k, at] += some[..., k]
         if self.setting.device.is_cuda:  # on the CPU they are the array's own memory
             self.state.assign(rows)
         self.closed[worlds, g] = 2
@@ -326,22 +344,20 @@ class ThinEngine(Engine):
 
     def hold(self, worlds: NDArray[np.int64]) -> None:
         """Copy what worlds [k] hold, and the stiffness at its borders, to the kernels' model."""
-        self._lead("holds", worlds, self.holds[worlds])
+        own, led, m = self.every(worlds), self._led, self.model
+        led["holds"][own] = holds = self.holds[own]
         if self.ties is not None:
-            place = self._led["place"].reshape(*self.closed.shape, -1, self.row_length)
-            self.ties.hold(worlds, self.holds[worlds], place[worlds, :, :3][..., self.slots])
-        m = self.model
-        borders = m.at_borders(worlds, self.stiffer[worlds].prod(axis=1))
-        self._lead("inertia", (worlds[:, None], m.border_rows), self.rows(borders))
+            place = led["place"].reshape(*self.closed.shape, -1, self.row_length)
+            self.ties.hold(worlds, holds, place[own, :, :3][..., self.columns])
+        borders = self.rows(m.at_borders(own, self.stiffer[own].prod(axis=1)))
+        for k, row in enumerate(m.border_rows):
+            led["inertia"][own, row] = borders[:, k]
         if self.setting.self_contact:
-            free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
-            self._lead("loose", worlds, self.rows((self.per_mass[worlds] * free)[:, None]))
-
-    def _lead(self, name: str, rows: Any, values: Array) -> None:
-        """Set rows of an array in ``_led``; on the CPU it is the kernels' own memory."""
-        self._led[name][rows] = values
-        if self.setting.device.is_cuda:
-            getattr(self.device_model, name).assign(self._led[name])
+            free = 1.0 - np.any(holds & 1, axis=1)
+            led["loose"][own] = self.rows((self.per_mass[own] * free)[:, None])
+        if self.setting.device.is_cuda:  # on the CPU it is the kernels' own memory
+            for name, values in led.items():
+                getattr(self.device_model, name).assign(values)
 
     def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
@@ -394,7 +410,7 @@ class ThinEngine(Engine):
             self.types.ThinModel, points=n, radius=radius, table=int(s.table is not None),
             slot=self.slots, gravity=spread(s.gravity, (W, 3), "gravity"), holds=self.holds,
             obstacles=numbers_of_obstacles(s.obstacles),
-            damping=[material.damping for material in s.materials],
+            damping=s.parameters["damping"],
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
             friction=spread(friction, (W,), "friction"), **of_points,
         )  # fmt: skip

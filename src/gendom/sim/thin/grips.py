@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
-from gendom.arrays import Array
+from gendom.arrays import Array, distinct
 from gendom.errors import SimulationError
 from gendom.sim.paths import HostPaths, Pose
 from gendom.sim.setting import Setting
@@ -291,12 +290,11 @@ class Ties:
         """Let worlds [k] hold ``holds`` [k, G, n], with places [k, G, 3, n]."""
         for p, pair in enumerate(self._pairs):
             # the few ways of holding
-            rows = holds[:, pair].reshape(len(worlds), -1)
-            _, ways = np.unique(rows, axis=0, return_inverse=True)
-            for way in range(ways.max() + 1):
-                some = np.flatnonzero(ways.reshape(-1) == way)
+            ways, which = distinct(holds[:, pair].reshape(len(worlds), -1))
+            for way in range(len(ways)):
+                some = np.flatnonzero(which == way)
                 i, j = map(np.flatnonzero, holds[some[0], pair] & 1)
-                far = cdist(self._rest[i], self._rest[j])
+                far = np.linalg.norm(self._rest[i][:, None] - self._rest[j], axis=2)
                 self._most[worlds[some], p] = (1.0 + STRETCH) * far.min(initial=np.inf)
                 if far.size:
                     a, b = np.unravel_index(far.argmin(), far.shape)

@@ -11,10 +11,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
-from gendom.arrays import Array
+from gendom.arrays import Array, quaternion
 from gendom.sim.lines import fixed_frame
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
@@ -60,9 +59,9 @@ class RodModel:
     """Of the inertia, which change where joints are stiffer at grippers' borders."""
 
     def __init__(self, setting: Setting):
-        points, diameter, materials = setting.body.points, setting.body.thickness, setting.materials
-        W, n, step = len(materials), len(points), np.diff(points, axis=0)
-        self.materials, self.diameter = materials, diameter
+        points, diameter = setting.body.points, setting.body.thickness
+        W, n, step = len(setting.materials), len(points), np.diff(points, axis=0)
+        self.parameters, self.diameter = setting.parameters, diameter
         self.length = length = np.linalg.norm(step, axis=1)
         """[n - 1] lengths of edges at rest [m]."""
         require(
@@ -82,7 +81,7 @@ class RodModel:
         """Smallest number of points along the rod between parts that can be in self-contact."""
         self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 32) * 32 + MARGIN
         """[n] positions of points in a row, and how long that is."""
-        first = Rotation.from_matrix(fixed_frame(step[0]).T).as_quat()
+        first = quaternion(fixed_frame(step[0]).T)
         self.rest_q = rotation.transported(first, step)
         """[n - 1, 4] directions at rest, without twist."""
         self.rest = np.zeros((7, n))
@@ -103,7 +102,7 @@ class RodModel:
         self.shares[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
         joints = 0.5 * (length[:-1] + length[1:])
         self.shares[:, 3:, 1:-1] = (share[:, 1:-1] / joints)[:, None]
-        own = self.coefficients(parameters_of(self.thickness, materials))
+        own = self.coefficients(parameters_of(self.thickness, self.parameters))
         self.stiffness, self.mass, self.inertia, self.drag = own
         self.per_turn = np.zeros((W, n))
         """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where there are none."""
@@ -148,7 +147,7 @@ class RodModel:
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
         [W, 6, n]."""
-        bar = stiffness_bar * _moduli(parameters_of(self.thickness, self.materials))[:, :, None]
+        bar = stiffness_bar * _moduli(parameters_of(self.thickness, self.parameters))[:, :, None]
         edges, joints = bar[:, :3, :-1].sum(axis=1), bar[:, 3:, 1:-1].sum(axis=1)
         found = np.zeros((len(bar), bar.shape[2]))
         found[:, :-1] += 0.5 * edges
@@ -175,8 +174,7 @@ class RodModel:
         c, b = c / r2, b / np.sqrt(r2)
         fastest = 0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b**2)
         fastest = np.maximum(fastest, np.maximum(4.0 * stretch, 4.0 * twist / r2) / l**2) / mass
-        damped = np.array([m.damping > 0.0 for m in self.materials])
-        return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
+        return 2.0 / np.sqrt(np.where(self.parameters["damping"] > 0.0, 2.0, 1.0) * fastest)
 
     # ---- states ----------------------------------------------------------------------------------
 

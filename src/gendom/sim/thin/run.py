@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.arrays import Array
+from gendom.arrays import Array, distinct
 from gendom.sim.paths import CommandedPaths, Pose, paths_on
 from gendom.sim.setting import Frames
 from gendom.sim.thin.grips import Grip
@@ -46,30 +46,46 @@ class Schedule:
         switches = np.concatenate([hold["hold_from"], hold["hold_until"]], axis=1)
         W, within = len(substep), (switches > frames.began) & (switches < frames.times[-1])
         # worlds that have the same pieces, with different numbers of steps
-        alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
+        alike, which = distinct(np.where(within, switches, np.inf))
         blocks = []
         for k, row in enumerate(alike):
-            worlds = np.flatnonzero(which.reshape(-1) == k)
+            worlds = np.flatnonzero(which == k)
             blocks.append((worlds, _pieces(frames, row, substep[worlds], most_steps)))
-        S = max(of["steps"].shape[1] for _, of in blocks)
-        self.begins, self.before, self.dt = np.zeros((W, S)), np.zeros((W, S)), np.ones((W, S))
-        self.done, self.steps = np.zeros((2, W, S), dtype=np.int32)
-        self.frame = np.full((W, S), -1, dtype=np.int32)
-        """[W, S] as of the kernels' ``ThinRun``."""
-        self.due = np.zeros((W, S + 1), dtype=bool)
-        """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
         self.count = np.zeros(W, dtype=int)
         """[W] number of pieces."""
         for worlds, of in blocks:
-            count = of["steps"].shape[1]
-            self.count[worlds] = count
-            for name in ("begins", "done", "steps", "dt", "frame"):
-                getattr(self, name)[worlds, :count] = of[name]
-            self.due[worlds, 1 : count + 1] = of["due"]
-        taken = np.maximum.accumulate(np.where(self.steps > 0, np.arange(S), -1), axis=1)
-        last = np.take_along_axis(self.dt, np.maximum(taken, 0), axis=1)
-        last = np.where(taken < 0, engine.last_dt[:, None], last)
-        self.before[:, :1], self.before[:, 1:] = engine.last_dt[:, None], last[:, :-1]
+            self.count[worlds] = of["steps"].shape[1]
+
+        def joined(name: str, usual: float) -> Array:
+            every = [of[name] for _, of in blocks]
+            shape = W, max(of.shape[-1] for of in every)
+            if len(every) == 1:
+                return np.broadcast_to(every[0], shape)
+            found = np.full(shape, usual, dtype=every[0].dtype)
+            for (worlds, _), of in zip(blocks, every, strict=True):
+                found[worlds, : of.shape[-1]] = of
+            return found
+
+        self.begins, self.dt = joined("begins", 0.0), joined("dt", 1.0)
+        self.done, self.steps, self.frame = (
+            joined("done", 0),
+            joined("steps", 0),
+            joined("frame", -1),
+        )
+        """[W, S] as of the kernels' ``ThinRun``."""
+        self.due = joined("due", False)
+        """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
+        S = self.steps.shape[1]
+        moves = self.steps > 0
+        if (moves == moves[:1]).all():
+            at = np.maximum.accumulate(np.where(moves[0], np.arange(S), -1))[None]
+            last = self.dt[:, np.maximum(at[0], 0)]
+        else:
+            at = np.maximum.accumulate(np.where(moves, np.arange(S), -1), axis=1)
+            last = np.take_along_axis(self.dt, np.maximum(at, 0), axis=1)
+        if at.min() < 0:
+            last = np.where(at < 0, engine.last_dt[:, None], last)
+        self.before = np.concatenate([engine.last_dt[:, None], last[:, :-1]], axis=1)
         self.last_dt = last[:, -1].copy()
         """[W] length of the last step [s]."""
 
@@ -95,22 +111,27 @@ def _pieces(
     order = np.lexsort((frame, times))
     times, frame = times[order], frame[order]
     span = np.diff(times)
-    n = np.ceil(span / substep[:, None] - 1e-9)
-    n = np.where(span > 0.0, np.maximum(1, n), 0).astype(int)
-    dt = np.where(n > 0, span / np.maximum(n, 1), 1.0)
+    moves = (span > 0.0).astype(float)
+    n = span / substep[:, None] - 1e-9
+    np.maximum(np.ceil(n, out=n), moves, out=n)
+    dt = np.divide(span, n, out=np.ones(n.shape), where=moves > 0.0)
+    n = n.astype(np.int32)
     # an interval of many steps is several pieces
     most = max(1, int(n.max())) if most_steps is None else most_steps
     parts = np.maximum(1, -(-n.max(axis=0) // most))
     of = np.repeat(np.arange(len(parts)), parts)
     part = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
-    last, done = part == parts[of] - 1, np.minimum(part * most, n[:, of])
+    part = part.astype(np.int32)
+    if len(of) > len(parts):
+        n, dt = n[:, of], dt[:, of]
+    last, done = part == parts[of] - 1, np.minimum(part * most, n if part.any() else 0)
     return {
         "begins": times[:-1][of],
         "done": done,
-        "steps": np.minimum(n[:, of] - done, most),
-        "dt": dt[:, of],
-        "frame": np.where(last, frame[1:][of], -1),
-        "due": last & np.isin(times, switches)[1:][of],
+        "steps": np.minimum(n - done, most),
+        "dt": dt,
+        "frame": np.where(last, frame[1:][of], -1).astype(np.int32),
+        "due": np.append(False, last & np.isin(times, switches)[1:][of]),
     }
 
 
@@ -131,9 +152,13 @@ class Run:
             T, points = len(frames.times), frames.particles
         self.plan, self._engine = plan, engine
         self.on_device = made = engine.types.ThinRun()
+        self._rows: list[wp.array] = []
         for name in ("begins", "done", "steps", "dt", "before", "frame"):
-            values = np.ascontiguousarray(getattr(plan, name))
-            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
+            values = getattr(plan, name)
+            alike = values.strides[0] == 0  # in all worlds, which share a row
+            own = np.require(values[:1] if alike else values, requirements="CW")
+            self._rows.append(wp.array(own, device=device, copy=device.is_cuda))
+            setattr(made, name, _repeated(self._rows[-1], W) if alike else self._rows[-1])
         shape = (T, W, len(points))
         self.x = made.frames = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
         made.points, made.piece = engine.array(points, wp.int32), engine.zeros((W, 2), wp.int32)
@@ -150,6 +175,7 @@ class Run:
         if which not in own:
             given = [e.device_model, e.device_paths, self.on_device]
             own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
+        e.first = None
         own[which].launch()
 
 
@@ -222,6 +248,12 @@ class Steps:
         least = 1 + int(LEAST * self._shortest / ((until - e.now) * e.num_points))
         if least != self._least:
             self._least, self._groups = least, e.groups(e.num_worlds, least)
+
+
+def _repeated(row: wp.array, times: int) -> wp.array:
+    """A row [1, S] that looks like so many, and lasts as long as it does."""
+    shape, strides = (times, row.shape[1]), (0, row.strides[1])
+    return wp.array(ptr=row.ptr, dtype=row.dtype, shape=shape, strides=strides, device=row.device)
 
 
 def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None:

@@ -48,6 +48,7 @@ class ShellModel:
         body, materials = setting.body, setting.materials
         (ny, nx), h, part = body.shape, body.thickness, body.cut
         self.materials, self.thickness, self.cut = materials, h, part
+        self.parameters = setting.parameters
         self.shape: tuple[int, int] = (ny, nx)
         """Number of rows, and of points in a row, of the whole lattice."""
         cell, area = np.zeros((ny, nx)), np.zeros((ny, nx))
@@ -102,7 +103,7 @@ class ShellModel:
         share = spread(setting.variation.stiffness, (W, n), "stiffness")[:, None]
         self.local = 1.0 + self.varies * (share - 1.0)
         """[W, 8, n] stiffness over that of the material."""
-        own = self.coefficients(parameters_of(h, materials))
+        own = self.coefficients(parameters_of(h, setting.parameters))
         self.stiffness, self.mass, _, self.drag = own
 
     def coefficients(self, p: Mapping[str, Array]) -> Coefficients:
@@ -159,7 +160,7 @@ class ShellModel:
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
         [W, 8, n]."""
-        modulus = self._moduli(parameters_of(self.thickness, self.materials))
+        modulus = self._moduli(parameters_of(self.thickness, self.parameters))
         return np.sum(stiffness_bar * modulus * self.varies, axis=1)
 
     def _moduli(self, p: Mapping[str, Array]) -> Array:

@@ -163,7 +163,7 @@ class ThinTape:
         first = self.adjoint.state.numpy()[..., e.slots].astype(float)
         x, v = e.component(types.X, self.first), e.component(types.V, self.first)
         x_bar, v_bar = e.model.by_start(x, v, np.swapaxes(first, 1, 2))
-        own = ("membrane",) * any(m.membrane is not None for m in e.setting.materials)
+        own = ("membrane",) * bool(np.isfinite(e.setting.parameters["membrane"]).any())
         parameters = ("E", "nu", "density", "thickness", *own, *e.model.woven)
         return Gradients(
             stiffness=e.model.share_bar(m[:, : e.device_model.stiffness.shape[1]]),
@@ -189,7 +189,7 @@ class ThinTape:
         derivatives of real functions".
         """
         e, m, h = self.engine, self.model_bar, 1e-30
-        p = types.parameters_of(e.model.thickness, e.setting.materials)
+        p = types.parameters_of(e.model.thickness, e.setting.parameters)
         slopes = e.model.coefficients(p | {name: p[name] + 1j * h})
         stiffness, mass, inertia, drag = (np.imag(values) / h for values in slopes)
         found = np.sum(m[:, : stiffness.shape[1]] * stiffness, axis=1)

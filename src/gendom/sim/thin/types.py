@@ -9,9 +9,8 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 # pyright: reportInvalidTypeForm=false
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -20,8 +19,6 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arrays import Array
-from gendom.materials import Material
-from gendom.materials.parameters import OF_THIN
 from gendom.sim.paths import make_path_type
 
 CFL = 0.8
@@ -63,13 +60,11 @@ class Coefficients(NamedTuple):
     """[W, n] of points over the density of the air."""
 
 
-def parameters_of(thickness: ArrayLike, materials: Sequence[Material]) -> dict[str, Array]:
-    """[W, 1] parameters that ``coefficients`` of a model follow from, by name; a ``membrane`` that
-    is not a number is that of E."""
-    names = ("E", "nu", "density", *OF_THIN)
-    of = np.array(list(map(attrgetter(*names), materials)), dtype=float)
-    found = dict(zip(names, of.T[..., None], strict=True))
-    return found | {"thickness": np.full((len(materials), 1), thickness)}
+def parameters_of(thickness: ArrayLike, materials: Mapping[str, Array]) -> dict[str, Array]:
+    """[W, 1] parameters that ``coefficients`` of a model follow from, by name, from those of
+    materials [W]."""
+    found = {name: values[:, None] for name, values in materials.items()}
+    return found | {"thickness": np.full((len(found["E"]), 1), thickness)}
 
 
 def along(p: Mapping[str, Array]) -> Array:
