@@ -312,7 +312,7 @@ FIGURES = (
         absolute=1.0, needs=("hours",),
     ),
     experiment("sbc", "sbc --lifts 100 --seed 100", sbc),
-    experiment("npe", "npe --scale full --lifts 60 --jobs 30 --device cuda", npe, "cuda"),
+    experiment("npe", "npe --scale full --lifts 60 --jobs 12 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),
     experiment("verdict-thin", "verdict --kind thin --lifts 1 --seed 2000", verdicts),

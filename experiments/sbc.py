@@ -138,9 +138,11 @@ def drawn_lifts(
     count: int,
     *,
     frames: int | None = None,
+    exact: bool = False,
 ) -> list[tuple[Recording, dict[str, float], dict[str, float]]]:
     """Lifts of an object whose unknowns are drawn, without those that cannot be simulated; their
-    truths by name, and transformed. With `frames`, clouds of these alone, as `seen` takes them.
+    truths by name, and transformed. With `frames`, clouds of these alone, as `seen` takes them;
+    `exact` ones have no noise, of cameras that are where they should be.
 
     Raises:
         RobotError: The arm cannot carry the lift out.
@@ -158,7 +160,8 @@ def drawn_lifts(
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
     # as finely as an estimate of it will be simulated, those of as many points side by side
-    noise, finer = settings.noise.sensor, [scene.finer(theta) for theta in thetas]
+    noise = 0.0 if exact else settings.noise.sensor
+    finer = [scene.finer(theta) for theta in thetas]
     points = [len(one.initial) for one in finer]
     shown: list[Recording | None] = [None] * count
     for n in sorted(set(points)):
@@ -175,7 +178,8 @@ def drawn_lifts(
             bends = scene.bending_length(theta.E_over_rho, theta.thickness)
             truth = {**dict(theta.items()), "bending_length": bends}
             drawn_at = dict(zip(prior.names, v.tolist(), strict=True))
-            found.append((misplaced(recording, settings.noise, rng), truth, drawn_at))
+            seen_as = recording if exact else misplaced(recording, settings.noise, rng)
+            found.append((seen_as, truth, drawn_at))
     return found
 
 
