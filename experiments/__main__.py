@@ -155,6 +155,11 @@ def parser() -> argparse.ArgumentParser:
         default=0,
         help="of cloth-real: so many cloths of the task's ranges in place of named ones",
     )
+    add(
+        "--acted",
+        type=int,
+        help="of planning: goals that the arm acts for (default: small 3, full all of 201)",
+    )
     add("--jobs", type=int, default=2, help="processes of the MuJoCo test scene and of training")
     add(
         "--out",
@@ -182,8 +187,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     flags.task = flags.task or {"cloth": "cloth-spreading", "rope": "rope-reaching"}[kind]
     if not flags.task.startswith(kind):
         parser().error(f"{flags.table} takes tasks of a {kind}, not {flags.task}")
-    if min(flags.lifts, flags.jobs) < 1 or min(flags.seed, flags.drawn) < 0:
-        parser().error("--lifts and --jobs must be at least 1, --seed and --drawn at least 0")
+    counts = [n for n in (flags.lifts, flags.jobs, flags.acted) if n is not None]
+    if min(counts) < 1 or min(flags.seed, flags.drawn) < 0:
+        parser().error(
+            "--lifts, --jobs and --acted must be at least 1, --seed and --drawn at least 0"
+        )
     logging.basicConfig(format="%(message)s")
     logging.getLogger("experiments").setLevel(logging.INFO)
     folder = flags.out or Path(flags.table)

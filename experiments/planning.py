@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from experiments.dragging import Evolution
 from experiments.rope_real import ROPES
-from experiments.runs import Misses, Result, Runs, adapted, misses
+from experiments.runs import Misses, Result, Runs, adapted
 from gendom.arrays import Array
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
@@ -30,24 +30,26 @@ from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
-GOALS = {"small": (6, 3, 3, 1), "full": (201, 60, 30, 3)}
+GOALS = {"small": (6, 3, 3, 1), "full": (201, 201, 30, 3)}
 """Of all ropes together: in our simulator, of these in MuJoCo, of these learnt from executions, and
 how many of these there are."""
 
-POPULATION, SIGMA = 8, 0.1
+POPULATION, SIGMA = 4, 0.01
 """Actions a generation, and standard deviation of the first [of the limits' width]."""
 
 Beliefs = Sequence[Estimate]
 
 
 def evolved(
-    task: Task, goal: ArrayLike, belief: Estimate, start: Array, rollouts: int
+    task: Task, goal: ArrayLike, belief: Estimate, start: Array, rollouts: int, seed: int = 0
 ) -> Asking[Array]:
-    """The action [A] that polishing would look for, too, of those that CMA-ES tries with so many
-    rollouts, from a start [A]."""
+    """The action [A] that polishing would look for, too, of a start [A] and those that CMA-ES tries
+    from there, with so many rollouts."""
     problem = PolishingProblem(task, np.atleast_1d(goal), belief, None)
-    low, width, best, cost = problem.low, problem.high - problem.low, problem.start(start), math.inf
-    run = Evolution((best - low) / width, SIGMA, POPULATION, 0)
+    low, width, best = problem.low, problem.high - problem.low, problem.start(start)
+    (first,) = yield from problem.residuals([best])
+    cost = float(first @ first)
+    run = Evolution((best - low) / width, SIGMA, POPULATION, seed)
     while problem.rollouts + POPULATION <= rollouts:
         points = run.ask()
         tried = [problem.nearest(low + width * p) for p in points]
@@ -110,6 +112,8 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     task, sim, real = policy.task(), Simulation(device=runs.device), RealWorld(jobs=runs.jobs)
     beliefs = list(runs.each(partial(runs.lifted, task=task), ROPES, "lifts"))
     many, few, fewer, repeats = GOALS[flags.scale]
+    few = min(flags.acted or few, many)
+    fewer = min(fewer, few)
     cases = draw_cases(task, many, seed=runs.seed, simulation=sim,
                        items=[find_object(name) for name in ROPES])  # fmt: skip
     some, less = (Cases(task=task, items=cases.items[:n], goal=cases.goal[:n])
@@ -119,24 +123,26 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     searches = [polishing(task, g, belief, a, seconds=math.inf)
                 for g, belief, a in zip(cases.goal, held, start, strict=True)]  # fmt: skip
     polished: list[Polished] = side_by_side(task, sim, searches)
-    rivals = [evolved(task, g, belief, a, p.rollouts) for g, belief, a, p
+    rivals = [evolved(task, g, belief, a, p.rollouts, runs.seed) for g, belief, a, p
               in zip(cases.goal, held, start, polished, strict=True)]  # fmt: skip
-    better = np.array([p.action for p in polished])
-    acted = {
+    found = {
+        "polished": np.array([p.action for p in polished]),
         "policy": start,
-        "polished": better,
         "CMA-ES": np.array(side_by_side(task, sim, rivals)),
     }
     rows = Misses(runs=runs, title=f"planning-{task.name}-{many}")
-    for way, a in acted.items():
-        rows.row(f"{way}, ours", cases, sim, partial(np.array, a))
+    arm = Misses(runs=runs, title=f"planning-{task.name}-{many}-{few}")
+    # an interrupted table goes on with the actions that it began with
+    acted = {way: rows.row(f"{way}, ours", cases, sim, partial(np.array, a))[0]
+             for way, a in found.items()}  # fmt: skip
     reached = {
-        way: rows.row(f"{way}, MuJoCo", some, real, partial(np.array, a[:few]))[1]
+        way: arm.row(f"{way}, MuJoCo", some, real, partial(np.array, a[:few]))[1]
         for way, a in acted.items()
     }
-    there = reached["polished"][:fewer]
-    executions(rows, less, held[:fewer], better[:fewer], there, repeats, sim, real)
+    first, there = acted["polished"][:fewer], reached["polished"][:fewer]
+    executions(arm, less, held[:fewer], first, there, repeats, sim, real)
     rollouts = float(np.mean([p.rollouts for p in polished]))
-    figures = {"task": task.name, "rollouts": rollouts, "misses": rows.errors}
+    figures = {"task": task.name, "rollouts": rollouts, "misses": {**rows.errors, **arm.errors}}
     title = f"{task.name}, {rollouts:.0f} rollouts each"
-    return Result(name=f"planning-{task.name}", figures=figures, shown=[misses(title, rows.errors)])
+    shown = [*rows.shown(title), *arm.shown(title)]
+    return Result(name=f"planning-{task.name}", figures=figures, shown=shown)

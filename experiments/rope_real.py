@@ -112,8 +112,8 @@ def rope_real(runs: Runs, settings: Settings) -> dict[str, Any]:
     """Measure all rows.
 
     Returns:
-        JSON: estimates, goals, rows with errors over them, and what the error is made of. Errors
-        [m]; null where the arm or the simulation failed.
+        JSON: estimates, goals, rows with errors over them by the arm and, of policies, in our
+        simulator, and what the error is made of. Errors [m]; null where an action failed.
 
     Raises:
         DeviceError: The second reality cannot be simulated or rendered here.
@@ -338,14 +338,20 @@ def _measured(
         act = partial(adapted, cases, beliefs, seen, action, sim, seed=seed)
         action, there = rows.acted(name, act)
     assumed = [
-        believed(Estimate.of(known), cases.task).with_uncertain("E_over_rho", WITHOUT_LIFT)
-        for known in cases.items
+        believed(Estimate.of(_middling(rope)), cases.task).with_uncertain(
+            "E_over_rho", WITHOUT_LIFT
+        )
+        for rope in cases.items
     ]
     blind, _ = done["ours, no parameters"]
     without = partial(polished, cases, assumed, blind, sim, seed=seed)
     rows.acted("polished, no lift", without)
     true, _ = done["ours, true parameters"]
-    return {"errors": rows.errors, "made_of": _components(rows, ours, reached, true)}
+    here = replace(rows, title=f"{rows.title}-simulated", errors={})
+    for name, (found, _) in done.items():
+        here.row(name, cases, sim, partial(np.array, found))
+    made_of = _components(rows, ours, reached, true)
+    return {"errors": rows.errors, "simulated": here.errors, "made_of": made_of}
 
 
 def _components(rows: Measured, ours: Array, reached: Array, true: Array) -> dict[str, float]:
@@ -405,6 +411,7 @@ def shown_of(result: Mapping[str, Any]) -> list[Table | Chart]:
             },
         ),
         misses(f"{len(ropes)} goals", result["errors"]),
+        misses("In GenDOM's simulator", result["simulated"]),
         Table(
             title="Made of [mm]",
             head=tuple(result["made_of"]),

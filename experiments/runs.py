@@ -172,7 +172,10 @@ class Runs:
         found = {name: job.trained(paths[name]) for name, job in jobs.items()}
         if missing := [name for name, policy in found.items() if policy is None]:
             _log.info("training %s", ", ".join(missing))
-            work = [(jobs[name], str(paths[name]), self.device) for name in missing]
+            # a core takes small batches as fast as a GPU, which many trainings share
+            many = {name: len(jobs[name].demonstrations) >= FEW for name in missing}
+            work = [(jobs[name], str(paths[name]), self.device if many[name] else "cpu")
+                    for name in missing]  # fmt: skip
             for _ in self.each(_train, work, "training"):
                 pass
         return {name: found[name] or Policy.read(paths[name]) for name in jobs}
@@ -376,16 +379,30 @@ class Misses:
         self.errors[name] = row["error"]
         return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
 
+    def shown(self, title: str) -> list[Table]:
+        """A table for each world of rows "way, world"."""
+        worlds = dict.fromkeys(name.rpartition(", ")[2] for name in self.errors)
+        return [
+            misses(f"{title}, {world}", {n: e for n, e in self.errors.items() if n.endswith(world)})
+            for world in worlds
+        ]
+
 
 def misses(title: str, errors: Mapping[str, Sequence[float | None]]) -> Table:
-    """What goals were missed by [m], by row."""
+    """What goals were missed by [m], by row, and how much more than in the first row, goal by goal,
+    with the standard error of that."""
     rows = {}
+    first = np.array(next(iter(errors.values())), dtype=float)
     for row, error in errors.items():
-        e = 1e3 * np.array([x for x in error if x is not None])
+        e = 1e3 * np.array(error, dtype=float)
+        more = e - 1e3 * first[: len(e)]
+        e, more = e[np.isfinite(e)], more[np.isfinite(more)]
         figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max()) if len(e) else ()
         texts = *(f"{x:.2f}" for x in figures), *[""] * (4 - len(figures))
-        rows[row] = (*texts, f"{len(error)}, {len(error) - len(e)}")
-    head = ("mean", "median", "95 %", "worst", "goals, failed")
+        off = more.std(ddof=1) / math.sqrt(len(more)) if len(more) > 1 else math.nan
+        beside = f"{more.mean():+.2f} +- {off:.2f}" if len(more) else ""
+        rows[row] = (*texts, beside, f"{len(error)}, {len(error) - len(e)}")
+    head = ("mean", "median", "95 %", "worst", "more than first", "goals, failed")
     return Table(title=f"{title}, missed by [mm]", head=head, rows=rows)
 
 

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from experiments.lifts import estimate_settings
 from experiments.planning import GOALS, evolved
 from experiments.rope_real import ROPES
-from experiments.runs import Misses, Result, Runs, misses
+from experiments.runs import Misses, Result, Runs
 from experiments.sbc import drawn_lifts, evenly, seen
 from gendom.arrays import Array
 from gendom.estimation import LiftScene
@@ -138,7 +138,7 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     some = Cases(task=task, items=cases.items[:few], goal=cases.goal[:few])
     held = [rope_of(items[k % 3], logs[k % 3]) for k in range(many)]
     first = choose(policy, cases, known=held)
-    rivals = [evolved(task, g, Estimate.of(item), a, ROLLOUTS)
+    rivals = [evolved(task, g, Estimate.of(item), a, ROLLOUTS, runs.seed)
               for g, item, a in zip(cases.goal, held, first, strict=True)]  # fmt: skip
     straight = acts([shown[k % 3] for k in range(many)], cases.goal / L) * L
     ours = [beliefs[k % 3].most_likely for k in range(many)]
@@ -161,6 +161,6 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     return Result(
         name=f"wiggle-{task.name}",
         figures={"task": task.name, "lifts": len(X), "misses": rows.errors},
-        shown=[misses(f"{task.name}, {len(X)} lifts to learn from", rows.errors)],
+        shown=rows.shown(f"{task.name}, {len(X)} lifts to learn from"),
         notes=notes,
     )

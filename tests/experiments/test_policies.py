@@ -120,9 +120,12 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
     assert {"ours", "shipped", "sim+real", "sim+real, few", "pi_RD", "pi_RD, inverse", "R2S2R",
             "R2S2R, inverse", "inverse", "polished"} <= set(rows)  # fmt: skip
     assert all(len(errors) == 9 for errors in rows.values())
+    here = result["simulated"]  # where nothing is off
+    assert "R2S2R" in here and np.median(here["ours"]) < np.median(rows["ours"])
     # some of the goals lie beyond the reach of these ropes
     middle = {name: np.median(errors) for name, errors in rows.items()}
     assert middle["polished, 2 executions"] < middle["polished, 1 execution"] < middle["polished"]
+    assert middle["polished, no lift"] > 2.0 * middle["polished"]  # knows no rope
     assert middle["polished"] == pytest.approx(0.02 * 0.3, rel=0.5)
     assert result["made_of"]["simulator"] == pytest.approx(0.02 * 0.3, rel=1e-3)
     goals = np.ravel(result["goals"])
