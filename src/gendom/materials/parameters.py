@@ -107,7 +107,7 @@ class Rows(Sequence[T]):
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
-    def __getitem__(self, n):  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __getitem__(self, n: Any) -> Any:
         if isinstance(n, slice):
             return self.some(np.arange(len(self))[n])
         return self._make({name: float(values[n]) for name, values in self.columns.items()})

@@ -136,8 +136,9 @@ class ThinEngine(Engine):
 
     def pick(self, which: slice, rows: Array, worlds: NDArray[np.int64] | None = None) -> Array:
         """Components [k, n, .] of rows [W, ., P], of worlds [k]."""
-        alike = worlds is not None and rows.strides[0] == 0
-        some = rows[:1] if alike else rows if worlds is None else rows[self.every(worlds)]
+        worlds = np.arange(len(rows)) if worlds is None else worlds
+        alike = rows.strides[0] == 0
+        some = rows[:1] if alike else rows[self.every(worlds)]
         found = np.swapaxes(some[:, which][..., self.columns], 1, 2).astype(float)
         return np.broadcast_to(found, (len(worlds), *found.shape[1:])) if alike else found
 

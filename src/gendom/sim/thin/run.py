@@ -152,13 +152,12 @@ class Run:
             T, points = len(frames.times), frames.particles
         self.plan, self._engine = plan, engine
         self.on_device = made = engine.types.ThinRun()
-        self._rows: list[wp.array] = []
         for name in ("begins", "done", "steps", "dt", "before", "frame"):
-            values = getattr(plan, name)
-            alike = values.strides[0] == 0  # in all worlds, which share a row
-            own = np.require(values[:1] if alike else values, requirements="CW")
-            self._rows.append(wp.array(own, device=device, copy=device.is_cuda))
-            setattr(made, name, _repeated(self._rows[-1], W) if alike else self._rows[-1])
+            own = getattr(plan, name)
+            values = (
+                np.ascontiguousarray(own) if device.is_cuda else np.require(own, None, ["C", "W"])
+            )
+            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
         shape = (T, W, len(points))
         self.x = made.frames = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
         made.points, made.piece = engine.array(points, wp.int32), engine.zeros((W, 2), wp.int32)
@@ -248,12 +247,6 @@ class Steps:
         least = 1 + int(LEAST * self._shortest / ((until - e.now) * e.num_points))
         if least != self._least:
             self._least, self._groups = least, e.groups(e.num_worlds, least)
-
-
-def _repeated(row: wp.array, times: int) -> wp.array:
-    """A row [1, S] that looks like so many, and lasts as long as it does."""
-    shape, strides = (times, row.shape[1]), (0, row.strides[1])
-    return wp.array(ptr=row.ptr, dtype=row.dtype, shape=shape, strides=strides, device=row.device)
 
 
 def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None:
