@@ -97,8 +97,11 @@ class DepthCamera(Protocol):
     """A live depth camera. Its pictures are read from its recordings."""
 
     name: str
-    pixels: int
-    """Of a picture."""
+
+    @property
+    def pixels(self) -> int:
+        """Of a picture."""
+        ...
 
     def connect(self) -> None:
         """Raises: `DeviceError` where there is no such camera, or it has no such streams."""
