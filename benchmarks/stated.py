@@ -300,8 +300,8 @@ ON_CUDA = partial(TIMED, needs=("cuda",))
 WIRE = "benchmarks/recordings/wire_white_loop.npz"
 
 FIGURES = (
-    covered("rope", "--lifts 45 --seed 200 --measured"),
-    covered("wide", "--wide --lifts 45 --measured"),
+    covered("rope", "--lifts 30 --seed 200 --measured"),
+    covered("wide", "--wide --lifts 20 --measured"),
     covered("cloth", "--kind cloth --lifts 15 --seed 1015"),
     *(
         covered(unlike, f"--lifts 16 --seed 200 --unlike {unlike}")
@@ -311,7 +311,7 @@ FIGURES = (
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),
     ),
-    experiment("sbc", "sbc --lifts 100 --seed 100", sbc),
+    experiment("sbc", "sbc --lifts 86 --seed 111", sbc),
     experiment("npe", "npe --scale full --lifts 60 --jobs 12 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),
