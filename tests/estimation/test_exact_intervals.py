@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gendom.errors import SimulationError
 from gendom.estimation import EstimateSettings, IntervalCalibration, Theta, intervals
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Start
@@ -264,86 +263,3 @@ def test_ends_apart_are_said():
     said = "starts end apart and fit about as well, with bending lengths of 0.06, 0.08 m: the "
     assert both == (f"{said}intervals hold all of them",)
     assert intervals.told_apart(problem, NS(best=best, others=())) == ()
-
-
-# ---- a heavier tip -------------------------------------------------------------------------------
-
-
-class Tipped:
-    """A rope's problem whose value is a parabola about a heavier tip, in two unknowns and the tip.
-    Its derivatives by the tip alone are its own."""
-
-    lifted_rope = True
-    prior = prior_of(("E_over_rho", "nu"))
-
-    def __init__(self, tip, lost, deviation=0.02, diverges=False):
-        self.tip, self.lost, self.deviation, self.diverges = tip, lost, deviation, diverges
-
-    def with_unknown(self, name):
-        assert name == "tip_mass"
-        more = Tipped(self.tip, self.lost, self.deviation, self.diverges)
-        more.prior = self.prior.followed_by(prior_of([name]))
-        return more
-
-    def compare(self, vectors, free):
-        assert free == [2] and vectors[0].tolist() == [7.0, 0.3, 0.0]
-        one = NS(J=np.zeros((1, 1, 3, 3)), widens=np.zeros(3), begun=[])
-        one.J[..., 2], one.widens[2] = 5.0, 6.0
-        one.warm_start = one.begun.append
-        self.made = NS(parts=(one,))
-        return [None if self.diverges == "at once" else self.made]
-
-    def gradient_and_hessian(self, start, noise):
-        assert start.comparison is self.made and noise == ("noise",)
-        assert start.vector.tolist() == [7.0, 0.3, 0.0]
-        sd = np.array([0.1, 0.05, self.deviation])
-        H = np.linalg.inv(np.outer(sd, sd) * [[1.0, 0.2, -0.5], [0.2, 1.0, 0.1], [-0.5, 0.1, 1.0]])
-        return -H @ [-0.3, 0.02, self.tip], H
-
-    def value(self, vector, comparison, noise):
-        return 5.0 if comparison == "tipped" else 5.0 + self.lost
-
-
-@pytest.mark.parametrize(
-    ("tip", "lost", "diverges", "told"),
-    [
-        (0.0201, 9.0, False, True),
-        (0.0199, 9.0, False, False),  # less than a deviation
-        (0.0201, 8.9, False, False),  # less likely than by three
-        (0.0201, 9.0, "at once", False),
-        (0.0201, 9.0, "searched", False),
-        (0.0201, 9.0, "never", True),
-    ],
-)
-def test_a_tip_that_looks_heavier_is_searched_for_and_said(monkeypatch, tip, lost, diverges, told):
-    problem: Any = Tipped(tip, lost, diverges=diverges)
-    J, widens = np.arange(6.0).reshape(1, 1, 3, 2), np.array([7.0, 8.0])
-    one = NS(J=J, widens=widens)
-    best = Start(initial=np.zeros(2), vector=np.array([7.0, 0.3]), comparison=NS(parts=(one,)))
-    before, begun = NS(best=best, noise=("noise",)), []
-
-    def search(more, initial):
-        begun.extend(initial)
-        (made,) = more.made.parts
-        assert np.array_equal(made.J[..., :2], J) and (made.J[..., 2] == 5.0).all()
-        assert made.widens.tolist() == [7.0, 8.0, 6.0] and made.begun == [one]
-        if diverges == "searched":
-            raise SimulationError("no start could be simulated")
-        return NS(best=NS(comparison="tipped", vector=np.array([6.8, 0.31, 0.08])))
-
-    monkeypatch.setattr(intervals, "gauss_newton", search)
-    shift, said = intervals.tip_suspected(problem, before)
-    if not told:
-        assert shift.tolist() == [0.0, 0.0] and said == ()
-    else:
-        np.testing.assert_allclose(shift, [-0.2, 0.01])
-        (note,) = said
-        assert "as if 8% of the mass sat there (a knot, a sheath?): estimate it, too" in note
-        prior = problem.with_unknown("tip_mass").prior
-        times = prior.sd[2] / tip
-        wanted = prior.clipped(np.array([7.0, 0.3, 0.0]) + np.array([-0.3, 0.02, tip]) * times)
-        np.testing.assert_allclose(begun[0], wanted)
-    for changes in ({"lifted_rope": False}, {"prior": prior_of(("E_over_rho", "tip_mass"))}):
-        other: Any = Tipped(tip, lost)
-        vars(other).update(changes)
-        assert intervals.tip_suspected(other, before)[1] == ()

@@ -140,9 +140,10 @@ OF_LYING = [
 def fits(
     shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), held=(0,), size=0.4, stray=0, far=0.0,
     markers=None, bare=(0, 0, 0), gap=0.0, stands_for=1.0, model=0.002, kind="rope",
-    described=UNSTATED, thick=0.01, seen=None, away=0.0, known=True,
+    described=UNSTATED, thick=0.01, seen=None, away=0.0, known=True, still=1.0, grown=1.0,
 ):  # fmt: skip
-    """Of a rope of 0.4 m, whose thickness is stated or not, with its breadth as cameras see it."""
+    """Of a rope of 0.4 m, whose thickness is stated or not, with its breadth as cameras see it;
+    displaced to the clouds it is as far from them times ``still``, and has grown or turned."""
     rho, counts = np.zeros((3, 13)), np.ones((3, 13))
     counts[2, 2], counts[:, 3:] = 0.0, 0.0  # eight of nine points count
     rho[:, :3].flat[:stray] = far
@@ -152,9 +153,12 @@ def fits(
     camera = np.array([[-1, 0 if known else -1]])
     observation = NS(counts=counts[:, :3], markers=markers, camera=camera)
     a = np.array([9.0, 9.0, *shift, *turn, 9.0])
+    axis = np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]])
+    moved = axis[..., [1, 0, 2]] * [-1.0, 1.0, 1.0] if grown == 1.0 else axis * grown
     fitted = NS(
-        rows=NS(rho=rho, counts=counts), fit=lambda noise: NS(a=a), radius=0.5 * thick,
-        outside=lambda noise: away, observation=observation,
+        rows=NS(rho=rho, counts=counts), radius=0.5 * thick, outside=lambda noise: away,
+        fit=lambda noise: NS(a=a, rows=NS(rho=still * rho, counts=counts)),
+        observation=observation, axis=axis, registered=lambda noise: moved + 0.3,
     )  # fmt: skip
     of = NS(object=described)
     scene = NS(held=held, size=size, kind=kind, recording=of, ordered=True)
@@ -179,13 +183,26 @@ OF_FITS = [
     # a quarter of the eight points that count, beyond 24 mm
     ({"far": 0.03}, {"stray": 2}, {"stray": 3}, "38% of all points do not belong"),
     ({"stray": 3}, {"far": 0.0239}, {"far": -0.0241}, "38% of all points do not belong"),
+    ({"stray": 3, "far": 0.03}, None, {"still": 0.81}, "38% of all points do not belong"),
+    ({"stray": 3, "far": 0.03}, None, {"still": 0.79},
+     "38% of all points lie beside the object as simulated, 0% once it is displaced to them$"),
+    ({"stray": 3, "far": 0.03, "still": 0.7}, None, {"grown": 1.24}, "displaced to them$"),
+    ({"stray": 3, "far": 0.03, "still": 0.7}, None, {"grown": 1.26},
+     "to them and 1.3 times as large: is its size right"),
     ({"stray": 3, "markers": 0}, {"far": 0.0239}, {"far": 0.0241}, "38% of all points"),
     # three tenths of ten places in the median of three frames
     ({"gap": 0.0041}, {"bare": (3, 3, 9)}, {"bare": (4, 1, 4)}, NONE),
     (EVERY, {"gap": 0.0039}, {"gap": 0.0041}, NONE),
     (EVERY | {"gap": 0.0041}, {"stands_for": 0.0}, {"stands_for": 0.4}, NONE),
-    (EVERY | {"gap": 0.0041}, {"markers": 0}, {}, NONE),
+    (EVERY | {"gap": 0.0041}, {"markers": 0}, {}, f"{NONE} of the object should be: is its size"),
+    (EVERY | {"gap": 0.005}, None, {"still": 0.81}, f"{NONE} of the object should be: is its si"),
+    (EVERY | {"gap": 0.005}, None, {"still": 0.79},
+     f"{NONE} of the object is simulated, 0% once it is displaced to them$"),
+    (EVERY | {"gap": 0.005, "still": 0.7}, None, {"grown": 0.79},
+     "to them and 0.79 times as large: is its size right"),
     ({}, {"model": 0.00599}, {"model": 0.00601}, "moves 6 mm otherwise than any"),
+    ({"model": 0.007}, None, {}, "7 mm .*: in squares 100% as a whole in each frame"),
+    ({"model": 0.007}, None, {"grown": 2.0}, "in squares 45% as a whole"),
     ({"held": (0, 1)}, {"model": 0.02399}, {"model": 0.02401}, OTHERWISE),
     ({"kind": "cloth"}, {"model": 0.00399}, {"model": 0.00401}, OTHERWISE),
     (STATED, {"away": 0.0029}, {"away": 0.0031}, "points lie 3.1 mm outside an object 10 mm"),

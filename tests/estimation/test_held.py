@@ -47,15 +47,17 @@ def high_lift(rope_lift):
     return replace(rope_lift, rise=0.28)
 
 
-def test_a_heavy_tip_is_named_and_estimated_on_request(high_lift, settings):
+def test_a_heavy_tip_is_found_and_named(high_lift, settings):
     lifted, truth = high_lift.seen(tip_mass=0.12, **USUAL), high_lift.truth
     found = estimate(lifted, settings)
-    (said,) = [n for n in found.record["notes"] if "--also tip_mass" in n]
-    assert "free end hangs lower" in said
-    asked = estimate(lifted, replace(settings, also=("tip_mass",)))
-    assert asked.theta.tip_mass == pytest.approx(0.12, abs=0.04)
-    assert abs(off(asked, truth)) < abs(off(found, truth))
+    assert found.usable and holds(found, "tip_mass", 0.12)
+    (said,) = [n for n in found.record["notes"] if "free end weighs" in n]
+    assert f"weighs {found.theta.tip_mass:.0%} of the mass more" in said
     assert holds(found, "bending_length", LiftScene.of(lifted).bending_length(truth.E_over_rho))
+    uniform = replace(settings, unknowns=tuple(n for n in found.names if n != "tip_mass"))
+    wrong = estimate(lifted, uniform)
+    assert abs(off(found, truth)) < 0.5 * abs(off(wrong, truth))
+    assert not [n for n in wrong.record["notes"] if "free end" in n]
 
 
 def test_E_is_known_as_the_diameter_is_and_the_bending_length_leads(high_lift, settings):
@@ -64,7 +66,7 @@ def test_E_is_known_as_the_diameter_is_and_the_bending_length_leads(high_lift, s
     sd = {name: width(plain, name) / 2.0 / 1.645 for name in ("E", "bending_length")}
     assert sd["E"] == pytest.approx(math.hypot(3.0 * sd["bending_length"], 4.0 * 0.05), 0.02)
     assert plain.rows()[0][0] == "bending length" and sd["bending_length"] < 0.02
-    assert not [n for n in plain.record["notes"] if "tip_mass" in n]
+    assert not [n for n in plain.record["notes"] if "free end" in n]
 
 
 RATIO = 1.1

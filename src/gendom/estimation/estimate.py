@@ -10,19 +10,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gendom.arguments import check_list
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, did_you_mean
-from gendom.estimation.intervals import (
-    IntervalCalibration,
-    posterior_of,
-    tip_suspected,
-    told_apart,
-)
+from gendom.estimation.intervals import IntervalCalibration, posterior_of, told_apart
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
 from gendom.estimation.scene import LiftScene
+from gendom.estimation.tip import with_tip
 from gendom.estimation.verdict import judge, refused_before
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import Theta
@@ -57,9 +54,8 @@ def estimate(
     """Estimate an object's parameters from one or more recordings of it.
 
     All recordings share the material; every other unknown has a value for each recording. Ctrl-C
-    ends the search and keeps the best found so far. Its ``verdict`` states whether the result is
-    usable; if one recording is not usable, the result is not either, and the verdict names the
-    recording.
+    ends the search and keeps the best found so far. The result is usable if all recordings are; its
+    ``verdict`` names those that are not.
 
     Args:
         recordings: Lifts, or any motions with grippers that hold the object.
@@ -67,8 +63,7 @@ def estimate(
         names: Of the recordings, for people; by default recording 1 and so on.
         on_progress: Called after each iteration.
         calibration: Of the intervals (default: the shipped one).
-        known: Values of the parameters that are not estimated; by default the means of their
-            priors.
+        known: Values of what is not estimated; by default the means of the priors.
 
     Raises:
         RecordingError: If a recording has faults, as of `Recording.read`, or shows too little to
@@ -91,15 +86,13 @@ def estimate(
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
         times.append(clock.perf_counter())
-        found = _searched(problem, search)
+        found, added, said = _searched(problem, search)
         problem = found.problem or problem
         times.append(clock.perf_counter())
         cable = len(problem.scene.held) > 1 and not problem.scene.static
         shown = "cable" if cable else problem.scene.kind
         calibration = calibration or IntervalCalibration.of(shown, settings.frames)
-        shift, suspicion = tip_suspected(problem, found)
-        said = (*suspicion, *told_apart(problem, found))
-        posterior = posterior_of(problem, found, calibration, np.abs(shift))
+        posterior = posterior_of(problem, found, calibration, added)
         alone = _alone(problem, found, posterior, calibration)
         times.append(clock.perf_counter())
         verdict = judge(problem, found, posterior, alone)
@@ -108,12 +101,15 @@ def estimate(
         if not verdict.usable:
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
         seconds = zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True)
+        said = (*said, *told_apart(problem, found))
         return result_of(problem, found, posterior, alone, verdict, dict(seconds), said)
 
 
-def _searched(problem: Problem, search: Callable[[Problem], Found]) -> Found:
-    """What a method finds, at the resolution that the result needs. A recording that is refused
-    whatever is found gets a few iterations, which show where it differs."""
+def _searched(
+    problem: Problem, search: Callable[[Problem], Found]
+) -> tuple[Found, Array | float, tuple[str, ...]]:
+    """`with_tip` of what a method finds, at the resolution that the result needs. A recording that
+    is refused whatever is found gets a few iterations, which show where it differs."""
     refused = refused_before(problem)
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=2)
@@ -127,7 +123,7 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> Found:
         found = gauss_newton(finer) if limp else refined(finer, found)
         if problem.scene.kind == "cloth":
             break  # once: what its points leave of the error is added to its deviation
-    return found
+    return (found, 0.0, ()) if refused else with_tip(found.problem or problem, found)
 
 
 def _alone(

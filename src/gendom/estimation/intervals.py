@@ -1,16 +1,14 @@
 """The posterior of what was found: the likelihood's Gaussian, with what it does not know.
 
-The likelihood's own deviations are wrong, because the simulator is not exact. The calibration comes
-from lifts whose true parameters are known: `python -m experiments coverage --calibrate` estimates
-random objects of the second reality and writes, for each unknown, the factor of its deviations or
-the deviation to add in squares (`assets/calibration.json`).
+The likelihood's own deviations are wrong, because the simulator is not exact: `python -m
+experiments coverage --calibrate` estimates random objects of the second reality and writes, for
+each unknown, a factor of its deviations or one to add in squares (`assets/calibration.json`).
 
 Where a recorded object moves otherwise than any simulated one, the likelihood takes the difference
-for random, and becomes sure of the parameters that imitate it best. But it may be the same
-throughout, like a bend by nature. So a parameter is uncertain by at least the change that moves the
-shape by as much as is not explained. It is simulated, not extrapolated from derivatives: those of
-shapes that swing grow with the stiffness, while large changes of it hardly move them. Only what
-exceeds the differences of the calibration's lifts counts (`IntervalCalibration.displaced`).
+for random. But it may last, like a bend by nature. So a parameter is uncertain by at least the
+change that moves the shape by as much, simulated: derivatives of shapes that swing grow with the
+stiffness, while large changes of it hardly move them. What the calibration's lifts have, too, does
+not count (`IntervalCalibration.displaced`).
 """
 
 from __future__ import annotations
@@ -19,14 +17,12 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import resources
 
 import numpy as np
 
 from gendom.arrays import Array
-from gendom.errors import SimulationError
-from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
@@ -203,49 +199,3 @@ def told_apart(problem: Problem, found: Found) -> tuple[str, ...]:
     what = "starts end apart and fit about as well, with bending lengths of"
     texts = ", ".join(f"{b:.4g}" for b in bends)
     return (f"{what} {texts} m: the intervals hold all of them",) if found.others else ()
-
-
-def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...]]:
-    """Whether clouds look as if a rope's free end was heavier than the rest, which the search took
-    for uniform: a Newton step by `tip_mass` beside all other unknowns says so.
-
-    Returns:
-        [P] by how much the others would change then, and what to say of it; 0 and nothing where
-        there is no sign of it.
-    """
-    names, name = problem.prior.names, "tip_mass"
-    uniform = problem.lifted_rope and name not in names
-    heavier = _heavier(problem, found) if uniform else None
-    if heavier is None:
-        return np.zeros(len(names)), ()
-    said = f"the free end hangs lower than that of a uniform rope, as if {heavier[-1]:.0%} of the"
-    fix = f"mass sat there (a knot, a sheath?): estimate it, too, with --also {name}"
-    return heavier[:-1] - found.best.vector, (f"{said} {fix}",)
-
-
-def _heavier(problem: Problem, found: Found) -> Array | None:
-    """[P + 1] the result with a heavier tip as the last unknown, None where it is no better."""
-    more, compared = problem.with_unknown("tip_mass"), found.best.comparison
-    at = np.append(found.best.vector, 0.0)
-    (heavier,) = more.compare([at], free=[len(at) - 1])
-    if heavier is None or compared is None:
-        return None
-    one, other = compared.parts[0], heavier.parts[0]
-    other.J[..., :-1], other.widens[:-1] = one.J, one.widens
-    other.warm_start(one)
-    start = replace(found.best, vector=at, comparison=heavier)
-    gradient, hessian = more.gradient_and_hessian(start, found.noise)
-    covariance = np.linalg.inv(hessian)
-    step = -covariance @ gradient
-    if step[-1] < math.sqrt(covariance[-1, -1]):
-        return None  # less than a deviation
-    # from a heavy tip on: near none other unknowns make up for it
-    begin = more.prior.clipped(at + step * more.prior.sd[-1] / step[-1])
-    try:
-        again = gauss_newton(more, initial=[begin]).best
-    except SimulationError:  # it diverges with such a tip
-        return None
-    assert again.comparison is not None
-    before = more.value(at, heavier, found.noise)
-    after = more.value(again.vector, again.comparison, found.noise)
-    return again.vector if before - after >= 9.0 else None  # the square of three deviations

@@ -5,9 +5,8 @@ r half the thickness, rho = |p - c| - r is noise. Where the simulated object sti
 by more than the cloud has gaps, the distance to the nearest point of the cloud counts as a
 residual, too. Beside noise there are systematic errors: a rigid motion of the cameras, an offset of
 the skin, and a smooth displacement of the model, correlated between neighbouring frames. These have
-Gaussian priors (the displacement a Gaussian process in place and time, of low rank; Rasmussen and
-Williams 2006, sections 2.7 and 8.1). For each simulated shape they are fitted to the clouds first;
-the remaining misfit, with the cost of these errors under their priors, is the likelihood of the
+Gaussian priors (of the displacement a Gaussian process of low rank; Rasmussen and Williams 2006,
+sections 2.7 and 8.1). The misfit that they leave, with their cost, is the likelihood of the
 parameters. How large noise and displacement are is estimated from the recording itself, by
 expectation and maximisation (Dempster et al. 1977).
 """

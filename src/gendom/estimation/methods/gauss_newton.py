@@ -4,9 +4,8 @@ Steps minimise -2 log of likelihood times prior, all starts in one batch of worl
 derivatives are differences between worlds side by side, kept while they are accurate enough
 (Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), of a
 cloth with several dampings and once by the object's own unknowns alone: the set of held points
-changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
-unknowns are free, and clouds are not registered. In the fine stage, about the best start's result,
-everything is free, and noise and the model's displacement are estimated in turns with steps.
+changes in jumps, and those unknowns do not cause any. The coarse stage has few unknowns and does
+not register clouds; the fine one, about the best start, estimates noise in turns with steps.
 """
 
 from __future__ import annotations
