@@ -20,7 +20,7 @@ NOISE = NoiseModel(sensor=0.003, model=0.004, patch=2.0, shift=0.01, turn=0.02, 
 class Seen:
     """An observation in which each row belongs to one place of the shape and one direction."""
 
-    def __init__(self, seed=0, rows=M, on_skin=True, beside=False, far=0.0):
+    def __init__(self, seed=0, rows=M, on_skin=True, beside=False, far=0.0, apart=0):
         rng = np.random.default_rng(seed)
         self.rng, self.on_skin, self.own = rng, on_skin, rows - 6 * on_skin
         self.axis = rng.normal(size=(T, N, 3)) * 0.1
@@ -39,6 +39,9 @@ class Seen:
         self.centre, self.noise = np.array([0.1, -0.2, 0.3]), NOISE
         self.in_time, self.in_place = rng.normal(size=(T, 2)), rng.normal(size=(N, 2))
         self.beside = rng.normal(size=(5, 2)) if beside else np.zeros((0, 0))
+        self.apart = rng.integers(-1, 2, size=(T, rows, apart))
+        self.apart[:, self.own :] = 0
+        self.others = 3 * self.beside.shape[1] + 6 * apart + 7
         self.scene = SimpleNamespace(beside=beside, frames=(4, 6, 9, 11), captured=not on_skin)
         self.shape = SimpleNamespace(radius=0.002, rope=True, taken_from=lambda other, J: J)
         self.camera = np.zeros((T, self.own), int)
@@ -51,11 +54,17 @@ class Seen:
     def in_sight(self, shape):
         return np.ones(N, bool)
 
-    def rho(self, shape, r):
-        return ((self.point - self.feet(shape)) * self.normal).sum(axis=2) - r * self.on_skin
+    @property
+    def points(self):
+        return self.point[:, : self.own]
 
-    def rows(self, shape, r, in_sight):
-        rho = self.rho(shape, r)
+    def rho(self, shape, r, points=None):
+        own = self.points if points is None else points
+        point = np.concatenate([own, self.point[:, self.own :]], axis=1)
+        return ((point - self.feet(shape)) * self.normal).sum(axis=2) - r * self.on_skin
+
+    def rows(self, shape, r, in_sight, points=None):
+        rho = self.rho(shape, r, points)
         on = self.feet(shape) + (rho + r * self.on_skin)[..., None] * self.normal
         return Rows(
             rho=rho, normal=self.normal, index=self.index, weight=self.weight, point=on,
@@ -85,7 +94,7 @@ def compared(seen: Any, P=2, **options) -> Comparison:
 def displaced(c: Any, a, theta):
     """[T, n, 3] and half the thickness: the model of errors, written in loops."""
     o, shape, S = c.observation, c.axis + c.J @ theta, 0
-    own = 3 * o.beside.shape[1]
+    own = 3 * o.beside.shape[1] + 6 * o.apart.shape[2]
     if len(a) > 7 + own:
         S = len(a) - 7 - own
         coefficients = a[:S].reshape(2, 2, 3)
@@ -105,7 +114,12 @@ def displaced(c: Any, a, theta):
 
 def residuals(c, a, theta):
     shape, r = displaced(c, a, theta)
-    return c.observation.rho(shape, r) - a[-1]
+    o, points = c.observation, c.observation.points
+    for k in range(o.apart.shape[2]):
+        shift, turn = a[-13 - 6 * k :][:6].reshape(2, 3)
+        way = shift + np.cross(np.broadcast_to(turn, points.shape), points - o.centre)
+        points = points + o.apart[:, : o.own, k, None] * way
+    return o.rho(shape, r, points) - a[-1]
 
 
 def reference(c, a, noise):
@@ -122,9 +136,10 @@ def reference(c, a, noise):
     W, weight = o.every / root, 1.0 / (noise.patch * noise.sensor**2)
     H = weight * np.einsum("tm,tmi,tmj->ij", W, D, D)
     g = weight * np.einsum("tm,tmi,tm->ti", W, D, rho)
-    S = R - 7 - 3 * o.beside.shape[1]
-    sd = [noise.model] * S + [noise.beside] * (R - 7 - S) + [noise.shift] * 3
-    precision = np.array([*sd, *[noise.turn] * 3, noise.skin]) ** -2.0
+    beside, C = 3 * o.beside.shape[1], o.apart.shape[2]
+    sd = [noise.model] * (R - 7 - beside - 6 * C) + [noise.beside] * beside
+    motion = [noise.shift] * 3 + [noise.turn] * 3
+    precision = np.array([*sd, *motion * (C + 1), noise.skin]) ** -2.0
     Mt, cross = H[:R, :R] + np.diag(precision), H[:R, R:]
     downhill = g.sum(axis=0)[:R] - precision * a
     step, follows = np.linalg.solve(Mt, downhill), np.linalg.solve(Mt, cross)
@@ -142,6 +157,7 @@ CASES = [
     ({}, NOISE),
     ({"far": 0.05}, NOISE),
     ({}, replace(NOISE, model=0.0)),
+    ({"apart": 1, "far": 0.05}, NOISE),
     ({"on_skin": False, "beside": True}, NOISE),
     ({"on_skin": False, "beside": True}, replace(NOISE, model=0.0)),
 ]
@@ -156,7 +172,8 @@ def test_a_fit_is_that_of_dense_matrices(options, noise, rounds):
     turn = 1e-7 if rounds else noise.turn
     c: Any = compared(Seen(**options))
     noise = replace(noise, rounds=rounds, turn=turn)
-    a = np.zeros(7 + 6 * c.observation.scene.beside + 12 * (noise.model > 0.0))
+    own = 6 * c.observation.scene.beside + 6 * options.get("apart", 0)
+    a = np.zeros(7 + own + 12 * (noise.model > 0.0))
     for left in range(rounds, -1, -1):
         known = reference(c, a, noise)
         if known.gain < 0.1 or left == 0:

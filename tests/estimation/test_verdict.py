@@ -5,6 +5,7 @@ Each bound stands in `test_exact_verdict.py`; here whole estimates meet them.
 
 from dataclasses import replace
 from importlib.resources import files
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ from experiments.verdict import CORRUPTED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import EstimateSettings, Theta, estimate
+from gendom.estimation.methods.search import estimated_noise
+from gendom.estimation.problem import Problem
+from gendom.estimation.scene import LiftScene
 
 
 def test_the_demo_s_lift_is_usable():
@@ -149,3 +153,35 @@ def test_a_cloth_that_cannot_be_used_is_refused(cloth_lift, sheet, spoil, reason
     )
     found = estimate(spoil(sheet), settings, known=cloth_lift.truth)
     assert any(reason in said for said in found.verdict.reasons), found.verdict.reasons
+
+
+def test_cameras_that_are_apart_are_not_noise_of_a_cloth(cloth_lift, sheet):
+    """One is off by 5 mm throughout."""
+    apart = replace(sheet, points=sheet.points + np.outer(sheet.seen_by == 2, (0.0, 0.003, 0.004)))
+    settings, noise = EstimateSettings(scene=cloth_lift.settings), []
+    for seen in (sheet, apart):
+        problem = Problem([LiftScene.of(seen, settings.scene)], settings)
+        vector = problem.prior.vector(cloth_lift.truth)
+        (compared,) = problem.compare([vector], derivatives=False)
+        noise.append(estimated_noise(compared, problem.first_noise())[0])
+    assert noise[1].sensor < 1.1 * noise[0].sensor
+    assert noise[1].model < 1.5 * noise[0].model
+
+
+@pytest.mark.parametrize(
+    ("bends", "far", "kept"), [(0.01, 5, 5), (0.01, 4, 6), (0.01, 6, 6), (0.03, 5, 6)]
+)
+def test_a_limp_cloth_is_followed_until_it_buckles(
+    cloth_lift, sheet, monkeypatch, bends, far, kept
+):
+    """Not where it does so at once; a stiff one throughout."""
+    settings = EstimateSettings(scene=cloth_lift.settings)
+    problem = Problem([LiftScene.of(sheet, settings.scene)], settings)
+    scene, off = problem.scene, np.where(np.arange(6) < far, 0.002, 0.006)
+    assert len(scene.frames) == 6
+    seen = SimpleNamespace(parts=[SimpleNamespace(rms_by_frame=lambda: list(off))])
+    monkeypatch.setattr(problem, "compare", lambda vectors, derivatives: [seen])
+    theta = replace(cloth_lift.truth, E_over_rho=scene.E_over_rho(bends))
+    found = problem.followed(problem.prior.vector(theta)).scene
+    assert found.frames == scene.frames[:kept]
+    assert ("buckled" in " ".join(found.notes)) == (kept < 6)

@@ -119,6 +119,8 @@ def _searched(
         finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
             break
+        if problem.scene.kind == "cloth":
+            finer = finer.followed(found.best.vector)
         limp = finer.scene.limp and not problem.scene.limp
         found = gauss_newton(finer) if limp else refined(finer, found)
         if problem.scene.kind == "cloth":

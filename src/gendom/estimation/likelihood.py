@@ -68,10 +68,10 @@ class Comparison:
             self._first = last.a if step is None else last.a + last.step - last.follows @ step
 
     def inherit_derivatives(self, other: Comparison, step: Array, weight: Array) -> None:
-        """Take over the derivatives of a comparison of the same frames, a step [P] away, with the
-        smallest change that agrees with both shapes, by squares with weights [P] (Broyden 1965);
-        with as many points if there is a step."""
-        J = self.observation.shape.taken_from(other.observation.shape, other.J)
+        """Take over the derivatives of a comparison of these frames and perhaps later ones, a step
+        [P] away, with the smallest change that agrees with both shapes, by squares with weights [P]
+        (Broyden 1965); with as many points if there is a step."""
+        J = self.observation.shape.taken_from(other.observation.shape, other.J[: len(self.axis)])
         size = float(step @ (weight * step))
         if size > 0.0:
             missing = self.axis - other.axis - J @ step
@@ -92,9 +92,9 @@ class Comparison:
             shape = shape + aside(self.observation.scene, self.frames, np.array(self.offsets))
         return self._rows(shape)
 
-    def _rows(self, shape: Array) -> Rows:
+    def _rows(self, shape: Array, points: Array | None = None) -> Rows:
         """Of a shape near it, which hides the same of itself."""
-        return self.observation.rows(shape, self.radius, self._in_sight)
+        return self.observation.rows(shape, self.radius, self._in_sight, points)
 
     def rms_by_frame(self) -> list[float]:
         """Distance of each frame's points from the skin [m]."""
@@ -137,7 +137,7 @@ class Comparison:
         o, last, near = self.observation, self._last, self._last or self._near
         if last is None or last.noise != noise:
             smooth = 3 * o.in_time.shape[1] * o.in_place.shape[1] if noise.model > 0.0 else 0
-            R = smooth + 3 * o.beside.shape[1] + 7
+            R = smooth + o.others
             if near is not None and len(near.a) == R:
                 last = self._linearised(near.a, noise, near.rows)
             else:
@@ -164,15 +164,15 @@ class Comparison:
 
     def _smooth_of(self, a: Array) -> int:
         """S, numbers of the displacement in ``a``, which may have none."""
-        return len(a) - 7 - 3 * self.observation.beside.shape[1]
+        return len(a) - self.observation.others
 
     def beside(self, a: Array) -> Array:
-        """[m, 3] by which a cable's markers are beside the axis, of ``a`` [S + B + 7] [m]."""
+        """[m, 3] by which a cable's markers are beside the axis, of ``a`` [R] [m]."""
         own = self.observation.beside
         return own @ a[self._smooth_of(a) : -7].reshape(own.shape[1], 3)
 
     def _displaced(self, a: Array) -> Array:
-        """[T, n, 3] the shape displaced, offset and moved by ``a`` [S + B + 7] [m]."""
+        """[T, n, 3] the shape displaced, offset and moved by ``a`` [R] [m]."""
         o, shape, S = self.observation, self.axis, self._smooth_of(a)
         if S:
             U, B = o.in_time, o.in_place
@@ -181,6 +181,14 @@ class Comparison:
         if o.scene.beside:
             shape = shape + aside(o.scene, self.frames, self.beside(a))
         return self._moved(shape, a)
+
+    def _apart(self, a: Array) -> Array:
+        """[T, m, 3] points moved by how far cameras are apart in ``a`` [m]."""
+        o, (shift, turn) = self.observation, np.split(a[-13:-7], 2)
+        way = o.apart[:, : o.points.shape[1]]
+        return (
+            o.points + way * (shift + np.cross(turn, o.points - o.centre)) if way.size else o.points
+        )
 
     def _by_offsets(self, rows: Rows) -> Array:
         """[T, m, B] by how much residuals fall with the markers' offsets."""
@@ -191,7 +199,7 @@ class Comparison:
         return found.reshape(*rows.rho.shape, -1)
 
     def _moved(self, shape: Array, a: Array) -> Array:
-        """A shape [..., 3] with the rigid motion of ``a`` [S + B + 7] [m]."""
+        """A shape [..., 3] with the rigid motion of ``a`` [R] [m]."""
         return shape - a[-7:-4] - np.cross(a[-4:-1], shape - self.observation.centre)
 
     def as_seen(self, shape: Array, noise: NoiseModel) -> Array:
@@ -199,18 +207,20 @@ class Comparison:
         return self._moved(shape, self.fit(noise).a)
 
     def _linearised(self, a: Array, noise: NoiseModel, rows: Rows | None = None) -> Fit:
-        """Residuals about the shape displaced by ``a`` [S + B + 7], of points that are paired anew
-        where their rows are not given."""
+        """Residuals about the shape displaced by ``a`` [R], of points that are paired anew where
+        their rows are not given."""
         o, S, R = self.observation, self._smooth_of(a), len(a)
         if rows is None:
             moved = a.any() or self.offsets
-            rows = self._rows(self._displaced(a)) if moved else self.rows
+            rows = self._rows(self._displaced(a), self._apart(a)) if moved else self.rows
         rho = rows.rho - a[-1]
         # by the displacement of each frame, which all frames' coefficients make up; by offsets,
         # rigid motion and skin; what is left; by parameters
         U, G = o.in_time[:, :S], rows.displacing(o.in_place[:, :S])
         own = [self._by_offsets(rows)] if o.scene.beside else []
-        own += [rows.fixed(o.centre), rho[..., None]]
+        fixed = rows.fixed(o.centre)
+        own += [o.apart * fixed[..., :6]] if o.apart.size else []
+        own += [fixed, rho[..., None]]
         own += [rows.parameter_derivatives(self.J, self.widens)] if self.J.size else []
         D = np.concatenate(own, axis=2)
         # weighted by how likely they are
@@ -219,7 +229,8 @@ class Comparison:
         cross = np.einsum("tr,tqd->rqd", U, Gt @ D, optimize=True).reshape(S, D.shape[2])
         square = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ G, optimize=True).reshape(S, S)
         products = np.block([[square, cross], [cross.T, each.sum(axis=0)]])
-        precision, weight = noise.precision(S, R - 7 - S), 1.0 / (noise.patch * noise.sensor**2)
+        precision = noise.precision(S, 3 * o.beside.shape[1], o.apart.shape[2])
+        weight = 1.0 / (noise.patch * noise.sensor**2)
         M = weight * products[:R, :R] + np.diag(precision)
         downhill = weight * products[:R, R] - precision * a
         by = weight * products[:R, R + 1 :]
@@ -233,7 +244,7 @@ class Comparison:
         hessian = weight * products[R + 1 :, R + 1 :] - by.T @ follows
         pulls = each[:, R - S, R - S + 1 :] - each[:, R - S, : R - S] @ follows[S:]
         likely = value, gradient, hessian, weight * pulls
-        return Fit(noise, a, S, rows, products, loss, step, follows, gain, *likely)
+        return Fit(noise, a, S, precision, rows, products, loss, step, follows, gain, *likely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,19 +273,21 @@ class Fit:
 
     noise: NoiseModel
     a: Array
-    """[S + B + 7] displacement's coefficients, markers beside the axis, motion [rad], skin [m]."""
+    """[R] displacement's S, B of markers beside the axis, cameras apart, motion [rad], skin [m]."""
     smooth: int
     """S."""
+    precision: Array
+    """Of ``a`` before anything is seen."""
     rows: Rows
     products: Array
-    """[S + B + 8 + P] squared, weighted, of residuals' derivatives by ``a``, of residuals, and of
-    their derivatives by parameters."""
+    """[R + 1 + P] squared, weighted, of residuals' derivatives by ``a``, of residuals, and of their
+    derivatives by parameters."""
     loss: float
     """Smoothed sum of squares [m^2]."""
     step: Array
-    """[S + B + 7] that is not taken any more."""
+    """[R] that is not taken any more."""
     follows: Array
-    """[S + B + 7, P] by how much ``a`` falls with the parameters."""
+    """[R, P] by how much ``a`` falls with the parameters."""
     gain: float
     """By which it would lower the value."""
     value: float
@@ -308,12 +321,12 @@ class Fit:
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, S, R = self.noise, self.smooth, len(self.a)
+        noise, S, R, prior = self.noise, self.smooth, len(self.a), self.precision.copy()
         # of the residuals alone, in m^2
         D, slope = self.products[:R, :R] / noise.patch, self.products[:R, R] / noise.patch
         total, count = self.loss / noise.patch, self.rows.counts.sum() / noise.patch
         for _ in range(rounds):
-            prior = noise.precision(S, R - S - 7)
+            prior[:S] = noise.model**-2.0
             spread = np.linalg.inv(D / noise.sensor**2 + np.diag(prior))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off, own = a - self.a, np.diag(spread)

@@ -87,10 +87,11 @@ class NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
         return replace(self, shift=UNKNOWN_SHIFT, turn=UNKNOWN_TURN)
 
-    def precision(self, smooth: int = 0, beside: int = 0) -> Array:
-        """[S + B + 7] of displacement, markers, rigid motion and skin before anything is seen."""
+    def precision(self, smooth: int = 0, beside: int = 0, apart: int = 0) -> Array:
+        """[R] of displacement, markers, cameras apart, motion and skin, before anything is seen."""
         sd = [self.model] * smooth + [self.beside] * beside
-        return np.array([*sd, *[self.shift] * 3, *[self.turn] * 3, self.skin]) ** -2.0
+        motion = [self.shift] * 3 + [self.turn] * 3
+        return np.array([*sd, *motion * (apart + 1), self.skin]) ** -2.0
 
 
 class Observation:
@@ -100,13 +101,13 @@ class Observation:
         self.scene = scene
         self.noise = noise or NoiseModel()
         most = self.noise.cloud_points * (1 if scene.kind == "rope" else 2)
-        self.clouds = []
+        recording, cameras, self.clouds = scene.recording, [], []
+        by = np.zeros(len(recording.points)) if recording.seen_by is None else recording.seen_by
         for t in scene.frames:
-            cloud = scene.recording.frame(t).astype(float)
-            if not scene.ordered:
-                cloud = cloud[:: -(-len(cloud) // most)]
-            self.clouds.append(cloud)
-        self.camera = self._cameras()
+            first, last = recording.offsets[t : t + 2]
+            own = slice(first, last, 1 if scene.ordered else -(-(last - first) // most))
+            self.clouds.append(recording.points[own].astype(float))
+            cameras.append(np.log2(np.maximum(by[own], 1e-9)))
         self.trees = [KDTree(c) for c in self.clouds]
         # how far apart what a cloud shows may lie: three of its own spacings, 5 mm at least
         near = [t.query(t.data, k=2)[0][:, 1] if t.n > 1 else 0.0 for t in self.trees]
@@ -117,12 +118,21 @@ class Observation:
         own = np.arange(sizes.max())
         self.points = np.stack([c[np.where(own < len(c), own, 0)] for c in self.clouds])
         self.counts = (own < sizes[:, None]).astype(float)
+        # the one camera that saw each point, -1 where several did or none is known
+        camera = np.stack(
+            [np.pad(c, (0, len(own) - len(c)), constant_values=-1.0) for c in cameras]
+        )
+        self.camera = np.where(camera % 1.0 == 0.0, camera, -1.0).astype(int)
         self.shape = Shape(scene)
         # samples that no fingers hide: farther from what is held than twice its reach
         own, share = self.shape.samples
         rest = middle(scene, scene.initial)
         x = np.einsum("mk,mka->ma", share, rest[own])
         away = np.linalg.norm(x[:, None] - scene.held, axis=2).min(axis=1)
+        # a cloth's faces are seen by a camera each; [T, rows, C] how points move as these go apart
+        seen = np.unique(self.camera[self.camera >= 0])[: 2 * (scene.kind == "cloth")]
+        every = np.pad(self.camera, ((0, 0), (0, len(share))), constant_values=-1)[..., None]
+        self.apart = 1.0 * (every == seen[:1]) - (every == seen[1:])
         self.in_view = away > 2.0 * held_reach(scene) + scene.body.thickness
         self.markers = None if scene.places is None else scene.markers
         if scene.places is None and scene.ordered:
@@ -139,6 +149,8 @@ class Observation:
         a, b = lattice(scene)
         self.beside = beside_axis(scene) if scene.beside else np.zeros((0, 0))
         """[m, B / 3] offsets of a cable's markers from its axis."""
+        self.others = 3 * self.beside.shape[1] + 6 * self.apart.shape[2] + 7
+        """Numbers of errors beside the displacement's."""
         scale = PLACE_SCALE * scene.size
         if len(b) == 1:
             self.in_place = _modes(a, scale)
@@ -147,27 +159,16 @@ class Observation:
         both = both.reshape(len(a) * len(b), -1)
         self.in_place = both[:, (both**2).mean(axis=0) > LEAST_SQUARE]
 
-    def _cameras(self) -> Array:
-        """[T, m] the one camera that saw each point, -1 where several did or none is known."""
-        found = np.full((len(self.clouds), max(map(len, self.clouds))), -1)
-        recording = self.scene.recording
-        if recording.seen_by is None:
-            return found
-        alone = np.full(256, -1)
-        alone[2 ** np.arange(8)] = np.arange(8)
-        for row, cloud, t in zip(found, self.clouds, self.scene.frames, strict=True):
-            own = alone[recording.seen_by[recording.offsets[t] : recording.offsets[t + 1]]]
-            row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
-        return found
-
-    def rows(self, shape: Array, r: float, in_sight: Callable[[int], Array]) -> Rows:
+    def rows(
+        self, shape: Array, r: float, in_sight: Callable[[int], Array], points: Array | None = None
+    ) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
         which parts of the shapes have no points near, of those that are in sight in a frame."""
         if self.markers is not None:
             return self._marker_rows(shape)
-        T = len(shape)
-        index, weight, foot = self.shape.nearest(shape, self.points)
-        e = self.points - foot
+        T, points = len(shape), self.points if points is None else points
+        index, weight, foot = self.shape.nearest(shape, points)
+        e = points - foot
         if not self.shape.rope:
             # beside a thin sheet's edge the direction to it is noise: across it counts what exceeds
             n = self.shape.normals(shape, index, weight)
@@ -180,10 +181,10 @@ class Observation:
         own, share = self.shape.samples
         c = np.einsum("mk,tmka->tma", share, shape[:, own])
         if self.shape.rope:
-            nearest = nearest_of(self.points, c)
+            nearest = nearest_of(points, c)
         else:
             nearest = np.stack([tree.query(x)[1] for tree, x in zip(self.trees, c, strict=True)])
-        near = np.take_along_axis(self.points, nearest[..., None], axis=1)
+        near = np.take_along_axis(points, nearest[..., None], axis=1)
         gap = np.linalg.norm(near - c, axis=2)
         out = gap - r - self.gaps[:, None]
         bare = (out > 0.0) & self.in_view
@@ -199,7 +200,7 @@ class Observation:
             normal=np.concatenate([normal, (near - c) / np.maximum(gap, 1e-9)[..., None]], axis=1),
             index=np.concatenate([index, every[0]], axis=1),
             weight=np.concatenate([weight, every[1]], axis=1),
-            point=np.concatenate([self.points, near], axis=1),
+            point=np.concatenate([points, near], axis=1),
             counts=np.concatenate([self.counts, bare * stands_for], axis=1),
             on_skin=True,
         )

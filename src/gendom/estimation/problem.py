@@ -32,6 +32,10 @@ SIZES_OF_OBJECT = (
 )  # fmt: skip
 """Fields of an object's description that all of its recordings share."""
 
+LIMP, ASTRAY = 0.065, 0.01
+"""Bending length below which cloths may buckle as they hang, and how much farther than in other
+frames clouds then are from one that has buckled to the other side, in diagonals."""
+
 PLACED, MOST_PLACED = 5e-4, 3
 """Change of markers' places beside an axis that does not count, root mean square [m], and how often
 they are looked for."""
@@ -268,6 +272,25 @@ class Problem:
         both = list(zip(self.parts, scenes, strict=True))
         same = all(s is p.scene for p, s in both)
         return self if same else self._with([replace(p, scene=s) for p, s in both])
+
+    def followed(self, vector: Array) -> Problem:
+        """The same without the last frames of limp cloths, from where clouds leave the simulated
+        one: a sheet that buckles may do so to either side, for less than is known of it."""
+        found, parts = None, []
+        for k, part in enumerate(self.parts):
+            scene, theta = part.scene, self.theta(vector, k)
+            if scene.bending_length(theta.E_over_rho, theta.thickness) < LIMP * scene.size:
+                (found,) = [found] if found else self.compare([vector], derivatives=False)
+            off = np.array(found.parts[k].rms_by_frame() if found else [0.0])
+            astray = int(np.argmax([*(off - off.min() > ASTRAY * scene.size), True]))
+            if max(5, len(off) // 3) <= astray < len(off):
+                note = f"from frame {scene.frames[astray]} on the cloth has buckled otherwise than"
+                notes = (*scene.notes, f"{note} a simulated one: these frames are not compared")
+                part = replace(
+                    part, scene=replace(scene, frames=scene.frames[:astray], notes=notes)
+                )
+            parts.append(part)
+        return self._with(parts)
 
     def beside(self, found: Found) -> Problem:
         """The same with the markers of a cable as far beside its axis as was found, in the mean of

@@ -57,8 +57,7 @@ class GaussNewtonSettings:
     leading: tuple[str, ...] = (
         "E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED,
     )  # fmt: skip
-    """Unknowns that are free in the coarse stage, so that others do not absorb their effect; none:
-    all but damping."""
+    """Unknowns that are free in the coarse stage, so that others do not absorb their effect."""
     gain: tuple[float, float] = (2.0, 0.2)
     """Least gain of a step, in the coarse and in the fine stage, before a start has converged."""
     rugged: bool = False
@@ -70,13 +69,13 @@ class GaussNewtonSettings:
 
     @classmethod
     def of(cls, kind: str) -> GaussNewtonSettings:
-        """For ropes or cloths, of which the grip matters as much as the bending, so all unknowns
-        are free but damping, which grows to its bound where the rest is wrong; the objective is
-        rugged; each step takes long; and the model's error exceeds the noise of the clouds, so
-        small gains do not count."""
+        """For ropes or cloths, of which few points do not show the grip as well as recordings state
+        it, so what leads are stiffness and friction, or all but damping where they do not; the
+        objective is rugged; each step takes long; and the model's error exceeds the noise of the
+        clouds, so small gains do not count."""
         if kind != "cloth":
             return cls()
-        return cls(leading=(), gain=(10.0, 10.0), rugged=True, thrifty=True)
+        return cls(leading=("E_over_rho", "friction"), gain=(10.0, 10.0), rugged=True, thrifty=True)
 
 
 def gauss_newton(
@@ -104,8 +103,11 @@ def gauss_newton(
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
-        ends = []
-        last = min(most, iteration + STEPS[1]) if settings.thrifty else most
+        ends, last = [], most
+        if settings.thrifty:
+            problem = problem.followed(best.vector)
+            more = problem.finer(best.vector) is not problem  # points follow
+            last = min(most, iteration + STEPS[2 if more else 1])
         for s in (best, *coarse.rivals(best, starts)):
             fine = Descent(problem, settings, noise, settings.gain[1])
             fine.converge(s, iteration, last)
@@ -185,7 +187,9 @@ class Descent:
         least = problem.settings.noise.least_model
         own = {"sensor": COARSE_NOISE, "model": 0.0, "beside": least, "rounds": 1}
         own |= {"patch": 1.0} if problem.captured else {}
-        leading = settings.leading or {*problem.prior.names} - {"damping"}
+        leading = {*settings.leading}
+        if settings.rugged and any(len(part.scene.guesses) > 1 for part in problem.parts):
+            leading = {*problem.prior.names} - {"damping"}
         free = [k for k, name in enumerate(problem.prior.names) if name in leading]
         return cls(problem, settings, problem.first_noise(**own), settings.gain[0], free or None)
 
@@ -233,7 +237,7 @@ class Descent:
         start.exact, start.renew = not self.settings.rugged, False
         start.precise = self.settings.rugged or self.problem.captured
         (start.comparison,) = self.problem.compare([start.vector], sketched=True)
-        if start.comparison is None and former is not None and not self.settings.leading:
+        if start.comparison is None and former is not None and self.settings.rugged:
             # where a neighbour cannot be simulated, the old derivatives stay
             start.comparison = former
             self.carry_on(start)
