@@ -6,7 +6,8 @@
 Newly drawn cloths, for each of some seeds. Every known action of the task is tried with each of
 them, so that all rows are of the same trials: the policy, which sees the parameters; the same for
 cloths that it knows nothing of; the one action that spreads most of these cloths; and the best that
-any does, of all cloths and of each quarter.
+any does, of all cloths and of each quarter. A task that is tried several times has these rows for
+each number of tries.
 """
 
 import argparse
@@ -53,31 +54,33 @@ def main() -> None:
         )
         outcomes = world.carry_out(task, [i for i in items for _ in known], actions)
         share = np.array([o.values.get("share", 0.0) for o in outcomes]).reshape(len(items), -1)
+        tries = np.array([o.tries for o in outcomes]).reshape(share.shape)
         alike = [dimensionless_parameters(i) for i in items]
         chosen = policy.actions(
             np.empty((len(items), 0)), {n: np.array([a[n] for a in alike]) for n in alike[0]}
         )
         stiffness = np.array([a["bending_ratio"] for a in alike])
         quarter = np.searchsorted(np.quantile(stiffness, [0.25, 0.5, 0.75]), stiffness)
-        done = np.greater_equal(share, SPREAD)
         own = np.abs(known[None] - chosen[:, None]).sum(axis=2).argmin(axis=1)
         blindly = np.abs(known - blind / task.action_units(prior[0])).sum(axis=1).argmin()
-        best = [done[quarter == k].mean(axis=0).argmax() for k in range(4)]
-        every = np.arange(len(items))
-        for name, k in {
-            "policy": own,
-            "without parameters": np.full(len(items), blindly),
-            "best constant": np.full(len(items), done.mean(axis=0).argmax()),
-            "best of each quarter": np.array(best)[quarter],
-        }.items():
-            spread, first = done[every, k], known[k, 0]
-            by = [spread[quarter == q].mean() for q in range(4)]
-            figures = [spread.mean(), *by, *(first[quarter == q].mean() for q in range(4))]
-            rows.setdefault(name, []).append(figures)
-        any_of = np.asarray(done.any(axis=1))
-        by = [any_of[quarter == q].mean() for q in range(4)]
-        rows.setdefault("any", []).append([any_of.mean(), *by, *[np.nan] * 4])
-        head = f"seeds {given.seeds[: len(rows['policy'])]}, {given.count} cloths each"
+        for n in range(1, task.tries + 1):
+            done, word = (share >= SPREAD) & (tries <= n), f", tries: {n}" * (task.tries > 1)
+            best = [done[quarter == k].mean(axis=0).argmax() for k in range(4)]
+            every = np.arange(len(items))
+            for name, k in {
+                "policy": own,
+                "without parameters": np.full(len(items), blindly),
+                "best constant": np.full(len(items), done.mean(axis=0).argmax()),
+                "best of each quarter": np.array(best)[quarter],
+            }.items():
+                spread, first = done[every, k], known[k, 0]
+                by = [spread[quarter == q].mean() for q in range(4)]
+                figures = [spread.mean(), *by, *(first[quarter == q].mean() for q in range(4))]
+                rows.setdefault(name + word, []).append(figures)
+            any_of = np.asarray(done.any(axis=1))
+            by = [any_of[quarter == q].mean() for q in range(4)]
+            rows.setdefault("any" + word, []).append([any_of.mean(), *by, *[np.nan] * 4])
+        head = f"seeds {given.seeds[: len(next(iter(rows.values())))]}, {given.count} cloths each"
         print(
             f"{head:40s} spread  by quarters, limp first   first number of the action", flush=True
         )

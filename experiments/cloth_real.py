@@ -101,8 +101,8 @@ def cloth_real(runs: Runs, settings: Settings) -> dict[str, Any]:
     Returns:
         JSON: estimates; where the hand closed in each trial [sides]; for each cloth its true
         bending length [sides] and its rows with the action, in units of similarity, and, by trial,
-        `MEASURED`, null where the arm or the simulation failed. A cloth whose estimate is not
-        usable has the reason, and no rows that need one.
+        `MEASURED`, null where the arm or the simulation failed, and how often it was tried. A cloth
+        whose estimate is not usable has the reason, and no rows that need one.
 
     Raises:
         DeviceError: The second reality cannot be simulated or rendered here.
@@ -120,7 +120,8 @@ def cloth_real(runs: Runs, settings: Settings) -> dict[str, Any]:
         rows[name] = {}
         for row, action in of["actions"].items():
             own = [seen[name, tuple(action), k] for k in range(settings.trials)]
-            rows[name][row] = {"action": action} | {m: [o[m] for o in own] for m in MEASURED}
+            measured = {m: [o[m] for o in own] for m in (*MEASURED, "tries")}
+            rows[name][row] = {"action": action} | measured
     return {
         "task": settings.task.name,
         "hands": hands.tolist(),
@@ -185,7 +186,8 @@ def _trial(
         task = replace(settings.task, off_centre=tuple(hands[k].tolist()))
         wanted = task.nearest(item, np.array(action) * task.action_units(item))
         (outcome,) = RealWorld().carry_out(task, [item], [wanted])
-        return {key: outcome.values.get(key) for key in MEASURED} | {"fault": outcome.fault}
+        measured = {key: outcome.values.get(key) for key in MEASURED}
+        return measured | {"tries": outcome.tries, "fault": outcome.fault}
 
     said = hashlib.sha256(repr(action).encode()).hexdigest()[:8]
     return runs.kept(f"{settings.task.name}, {name}, {said}, trial {k}, seed {runs.seed}", make)
@@ -229,16 +231,23 @@ def _named(action: Sequence[float]) -> str:
 
 
 def quarters_of(result: Mapping[str, Any]) -> list[Table]:
-    """Share of drawn cloths that lie spread to `SPREAD`, of all and by quarters of the bending
-    length; what failed, or has no estimate, does not."""
+    """Share of drawn cloths that lie spread to `SPREAD` after some tries, of all and by quarters of
+    the bending length; what failed, or has no estimate, does not."""
     bends = np.array(list(result["bending_lengths"].values()))
     quarter = np.searchsorted(np.quantile(bends, [0.25, 0.5, 0.75]), bends)
     cloths, rows = list(result["cloths"].values()), {}
+    most = max(max(own["tries"]) for of in cloths for own in of.values())
     for row in dict.fromkeys(row for of in cloths for row in of):
-        shares = [np.array(of[row]["share"], dtype=float) if row in of else [0.0] for of in cloths]
-        enough = np.array([np.greater_equal(share, SPREAD).mean() for share in shares])
-        by = [enough, *(enough[quarter == k] for k in range(4))]
-        rows[row] = tuple(f"{some.mean():.2f}" if len(some) else "" for some in by)
+        some = [of.get(row, {"share": [0.0], "tries": [1]}) for of in cloths]
+        for n in range(1, most + 1):
+            within = [np.array(of["tries"]) <= n for of in some]
+            shares = [np.array(of["share"], dtype=float) for of in some]
+            enough = np.array(
+                [((s >= SPREAD) & w).mean() for s, w in zip(shares, within, strict=True)]
+            )
+            by = [enough, *(enough[quarter == k] for k in range(4))]
+            name = row + f", tries: {n}" * (most > 1)
+            rows[name] = tuple(f"{some.mean():.2f}" if len(some) else "" for some in by)
     title = f"{len(cloths)} cloths, {result['task']}: share spread to {SPREAD}"
     head = ("all", "limpest quarter", "second", "third", "stiffest")
     return [Table(title=title, head=head, rows=rows)]

@@ -54,6 +54,12 @@ ENOUGH, SOFT = 0.75, 0.12
 """Share that is asked for, and over how much of it a motion counts as nearly enough."""
 
 
+class Once(ClothDragging):
+    """A drag alone: the pulls after it would open what it left folded."""
+
+    tries = 1
+
+
 class Evolution:
     """CMA-ES that maximises over the unit cube, N numbers.
 
@@ -150,7 +156,7 @@ def search(
     told: Path | None = None,
 ) -> list[list[Array]]:
     """For each family, the means of the search and its best motions [N], in units of similarity."""
-    task = ClothDragging()
+    task = Once()
     units = task.action_units(task.item)
     low, high = (task.limits(task.item) / units[:, None]).T
     runs = [
@@ -198,7 +204,7 @@ def judged(
     world: World, motions: Array, families: Sequence[Family], count: int, seed: int
 ) -> Array:
     """[F, M, count] shares of M motions [M, N] (units of similarity) with new cloths."""
-    task = ClothDragging()
+    task = Once()
     units = task.action_units(task.item)
     items = [i for k, f in enumerate(families) for i in drawn(count, f, seed=[seed, 977, k])]
     every = [i for i in items for _ in motions]

@@ -310,7 +310,6 @@ def polished(
     start: Array,
     world: World,
     *,
-    seed: int = 0,
     discrepancies: Sequence[Any] | None = None,
 ) -> Array:
     """[W, A] actions polished without a limit of time.
@@ -320,7 +319,6 @@ def polished(
         beliefs: [W] what is known of each object.
         start: [W, A], moved into the task's limits.
         world: Where they are simulated.
-        seed: Of the search.
         discrepancies: [W] between world and simulation, as `adapting` finds them.
     """
     searches = [
@@ -330,7 +328,6 @@ def polished(
             beliefs[w],
             cases.task.nearest(beliefs[w].most_likely, start[w]),
             seconds=math.inf,
-            seed=seed,
             discrepancy=None if discrepancies is None else discrepancies[w],
         )
         for w, goal in enumerate(cases.goal)
@@ -344,14 +341,12 @@ def adapted(
     seen: Sequence[Sequence[Execution]],
     start: Array,
     world: World,
-    *,
-    seed: int = 0,
 ) -> Array:
     """[W, A] actions `polished` with what executions of each goal showed."""
     pairs = zip(beliefs, seen, strict=True)
     found = side_by_side(cases.task, world, [adapting(cases.task, b, list(e)) for b, e in pairs])
     known, off = [a.belief for a in found], [a.discrepancy for a in found]
-    return polished(cases, known, start, world, seed=seed, discrepancies=off)
+    return polished(cases, known, start, world, discrepancies=off)
 
 
 @dataclass(frozen=True, kw_only=True)

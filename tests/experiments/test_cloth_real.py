@@ -105,14 +105,18 @@ def test_quarters_count_what_lies_spread_and_what_failed():
     bends = [0.05, 0.06, 0.07, 0.08, 0.09, 0.1, 0.11, 0.12]
     shares = [0.2, 0.74, 0.75, 0.3, 0.8, 0.9, 1.0, None]
     names = [f"drawn-{k}" for k in range(8)]
-    rows = {"true": [{"true": {"share": [s]}} for s in shares]}
-    cloths = dict(zip(names, rows["true"], strict=True))
-    cloths["drawn-4"]["ours"] = {"share": [0.8, 0.7]}
+    cloths = {n: {"true": {"share": [s], "tries": [1]}} for n, s in zip(names, shares, strict=True)}
+    cloths["drawn-4"]["ours"] = {"share": [0.8, 0.7], "tries": [1, 1]}
     result = {"task": "t", "bending_lengths": dict(zip(names, bends, strict=True)),
               "cloths": cloths}  # fmt: skip
     (table,) = quarters_of(result)
     assert table.rows["true"] == ("0.50", "0.00", "0.50", "1.00", "0.50")
     assert table.rows["ours"] == ("0.06", "0.00", "0.00", "0.25", "0.00")
+    # what takes two tries does not lie spread after one
+    cloths["drawn-5"]["true"]["tries"] = [2]
+    (table,) = quarters_of(result)
+    assert table.rows["true, tries: 1"] == ("0.38", "0.00", "0.50", "0.50", "0.50")
+    assert table.rows["true, tries: 2"] == ("0.50", "0.00", "0.50", "1.00", "0.50")
 
 
 def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):

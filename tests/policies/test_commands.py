@@ -116,6 +116,31 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert shift == pytest.approx(np.tile([0.02, -0.1, -0.02], (len(shift), 1)))
 
 
+def test_a_cloth_that_lies_folded_is_pulled_from_where_it_is_seen(tmp_path, capsys):
+    (tmp_path / "none.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n"
+    )
+    words = ["act", "cloth-dragging", "--E=4e5", "--nu=0.3", "--density=400", "--side=0.2",
+             "--thickness=0.001", "--damping=0.005", "--friction=0.5", "--no-prediction",
+             "--json"]  # fmt: skip
+    first, _ = told(capsys, words, 0)
+    hand = np.array(first["trajectory"]["position"][-1])
+    ahead = np.array([0.0, -np.sign(hand[1]), 0.0])
+    aside = 0.14 * ahead - np.array([0.13, 0.0, 0.0])
+    points = np.array([hand, hand + 0.28 * ahead, hand + aside])
+    np.savez(tmp_path / "seen.npz", points=points)
+    again, _ = told(capsys, [*words, "--lying", tmp_path / "seen.npz"], 0)
+    path, time = np.array(again["trajectory"]["position"]), np.array(again["trajectory"]["time"])
+    assert path[0] == pytest.approx(points[2] + [0.012, 0.0, 0.0], abs=1e-6)
+    assert path[-1, :2] == pytest.approx(points[2, :2] - [0.54 * 0.2, 0.0])
+    assert time[-1] == pytest.approx(first["trajectory"]["time"][-1])
+    said = told(capsys, [*words, "--lying", tmp_path / "none.ply"], 2)
+    assert "none.ply: has no points" in said
+    rope = ["act", "rope-reaching", "--goal=0.35", "--length=0.25", "--diameter=0.014", *words[2:5]]
+    assert "tried once" in told(capsys, [*rope, "--lying", tmp_path / "seen.npz"], 2)
+
+
 def test_an_unsteady_release_is_not_offered():
     """The shipped policy's for the cotton rope at 0.485 m: 7.7 mm by 100 ms."""
     task, item, world = RopeReaching(), OBJECTS["rope-cotton"], Simulation()

@@ -8,6 +8,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY, size_of, unit_of
+from gendom.reality import RealWorld
 from gendom.tasks import ClothDragging, ClothSpreading, RopeReaching
 from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
 from gendom.tasks.cloth_spreading import (
@@ -119,3 +120,56 @@ def test_the_tool_raises_all_of_it_goes_away_from_the_cloth_and_ends_on_the_tabl
     # x away along the diagonal, y to the left of that
     x, y = (0.3 * np.array(d) / np.sqrt(2.0) for d in ([-1.0, -1.0], [1.0, -1.0]))
     assert position[-1, :2] - position[0, :2] == pytest.approx(x + y)
+
+
+class Raised(ClothDragging):
+    """One corner is raised, which is not enough, and then another, from how it lies."""
+
+    tries, end = 2, property(lambda self: 3.0)
+
+    def tool_path(self, item, action, at=0.04):
+        place = size_of(item) * np.array([[at, at, 0.01], [at, at, 0.01], [0.5, 0.5, 0.3]])
+        return self._path(item, np.array([-1.0, 0.0, 2.0]), place, 1.0)
+
+    def next_path(self, item, x, hand):
+        assert hand / size_of(item) == pytest.approx([0.5, 0.5, 0.3], abs=1e-3)
+        assert x[0] == pytest.approx(hand, abs=0.1 * size_of(item))
+        return self.tool_path(item, None, x[-1, 0] / size_of(item) - 0.04)
+
+    def outcome(self, item, seen):
+        return super().outcome(item, seen) | {"unspread": 1.0}
+
+
+@pytest.mark.parametrize("world", [Simulation(), RealWorld(robot=False)])
+def test_a_further_try_begins_with_the_cloth_as_it_lies(world):
+    task = Raised()
+    action = np.array(task.candidates[3]) * task.action_units(task.item)
+    (found,) = world.carry_out(task, [task.item], [action], keep=True)
+    x = found.seen.points[-1] / size_of(task.item)
+    assert found.tries == 2
+    # the first corner has fallen, onto the table or the cloth
+    assert x[0, 2] < 0.15 and x[-1, 2] > 0.25
+
+
+@pytest.mark.parametrize("turn", [0.3, 2.5])
+def test_what_is_not_spread_is_pulled_to_its_wider_side(turn):
+    side, hand = size_of(DRAGGING.item), np.array([0.3, -0.2, 0.002])
+    c, s = np.cos(turn), np.sin(turn)
+    # the far corner ahead, a corner 0.7 sides to the left, and 0.3 to the right, where it is folded
+    outline = side * np.array([[0.0, 0.0], [1.4, 0.0], [0.7, 0.7], [0.8, -0.3]])
+    x = np.column_stack([outline @ [[c, s], [-s, c]] + hand[:2], np.zeros(4)])
+    path = DRAGGING.next_path(DRAGGING.item, x, hand)
+    (closing,) = path.events
+    assert closing.closed and closing.time == path.start
+    assert path.end == pytest.approx(DRAGGING.times(DRAGGING.item)[-1])
+    first, last = path.position[[0, -1], :2]
+    way = (last - first) / np.linalg.norm(last - first)
+    assert way == pytest.approx([-s, c])
+    assert (x[2, :2] - first) == pytest.approx(0.06 * side * way)
+    v = (
+        np.diff(path.position_at(np.arange(path.start, path.end, 1e-3), path.blend or 0.0), axis=0)
+        / 1e-3
+    )
+    a = np.diff(v, axis=0) / 1e-3
+    assert np.linalg.norm(v, axis=1).max() <= MAX_SPEED * unit_of("m/s", DRAGGING.item)
+    assert np.linalg.norm(a, axis=1).max() <= MAX_ACCELERATION * STANDARD_GRAVITY

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from gendom.arguments import require
+from gendom.arguments import check_choice, require
+from gendom.arrays import placed
 from gendom.cli.arguments import Engine, Json, Seed, TaskName, policy_for
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, tell_written, write_result
+from gendom.datasets.folder import READERS
 from gendom.errors import RobotError, printable
 from gendom.files import to_json
 from gendom.hardware.cell import BARE, Cell
@@ -56,6 +58,9 @@ class Command(KnownObject):
     Without it the arm is planned beside its table alone, for simulation only."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
+    lying: tuple[Path, ...] = ()
+    """Of cloth-dragging, clouds (.ply, .pcd or .npz) of the cloth in the base frame [m], as it lay
+    after each drag so far: the motion is then the next one."""
     arm: str = "xarm7"
     """The robot without --cell: xarm7, fr3, another package's, or a URDF or MJCF file
     (docs/robot.md)."""
@@ -90,7 +95,7 @@ class Command(KnownObject):
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
         warnings, values, world = list(action.warnings), np.array(action.values), self.world
-        simulated = not self.no_prediction and held.value("E_over_rho") is not None
+        simulated = not (self.no_prediction or self.lying) and held.value("E_over_rho") is not None
         polished = {}
         if self.polish:
             values, polished = self._polished(task, held, values)
@@ -101,6 +106,11 @@ class Command(KnownObject):
             require(near, what, where="--origin", fix=fix)
             T[:3, 3] = self.origin
         path = task.tool_path(item, values).moved(T)
+        for cloud in self.lying:
+            check_choice("suffix", cloud.suffix, READERS, where=f"--lying {cloud}")
+            require(len(x := READERS[cloud.suffix](cloud)), "has no points", where=str(cloud))
+            x, hand = (placed(np.linalg.inv(T), of) for of in (x, path.position[-1]))
+            path = task.next_path(item, x, hand).moved(T)
         result = {
             "format": ACTION_FORMAT,
             "task": self.task,
@@ -167,7 +177,7 @@ class Command(KnownObject):
             wrong = adapt(task, belief, seen, refine=False, world=self.world).discrepancy
         found = polish(
             task, np.array(self.goal), belief, start, seconds=self.seconds,
-            seed=self.seed, discrepancy=wrong, world=self.world,
+            discrepancy=wrong, world=self.world,
         )  # fmt: skip
         names = ("expected", "before", "rollouts", "seconds")
         return found.action, {"polished": {n: getattr(found, n) for n in names}}

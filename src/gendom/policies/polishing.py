@@ -16,16 +16,13 @@ taken, which lies beside the goal of the true one (docs/notes/policies.md).
 An action has one to three numbers, so derivatives are central differences of worlds in one batch.
 The search does not leave the neighbourhood of the start: elsewhere the simulator may hold a release
 for good that in reality sways.
-
-A task without goals has no such residuals: a share that is enough or not has no derivative. There
-the best of the known actions is varied by chance, ever less, and the best so far is kept.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,11 +42,7 @@ Discrepancy = Callable[[Array], tuple[Array, float]]
 """Mean [G] and standard deviation of the simulator's error at an action [A], in SI units."""
 
 MAX_ITERATIONS = 6
-"""Steps, or rounds of variations, at most."""
-
-VARIATION, VARIATIONS = 0.08, 12
-"""Standard deviation of the first variations of an action of a task without goals [of its limits'
-width], and how many there are in each of `MAX_ITERATIONS` rounds."""
+"""Steps at most."""
 
 STEP = 0.002
 """Of central differences by an action [units of similarity]."""
@@ -93,7 +86,7 @@ class _Point:
 
     z: Array
     r: Array
-    J: Array = field(default_factory=lambda: np.empty((0, 0)))
+    J: Array
 
     @property
     def cost(self) -> float:
@@ -109,7 +102,7 @@ class PolishingProblem:
         self.belief, self.item = belief, belief.most_likely
         self.units = task.action_units(self.item)
         self.goal_units = task.goal_units(self.item)
-        self.goal_unit = float(self.goal_units[0]) if task.goals else 1.0
+        self.goal_unit = float(self.goal_units[0])
         A, P = len(self.units), len(belief.mean) if len(task.goals) > len(task.actions) else 0
         self.spread = np.linalg.cholesky(belief.covariance) if P else np.zeros((0, 0))
         low, high = task.limits(self.item).T / self.units
@@ -148,22 +141,16 @@ class PolishingProblem:
     def _residual(self, action: Array, item: Item, outcome: Outcome) -> Array:
         task, values = self.task, outcome.values
         if outcome.fault is not None:
-            return np.full(max(len(task.goals), 1) + 2, np.inf)
+            return np.full(len(task.goals) + 2, np.inf)
         wrong, deviation = np.zeros(len(self.goal)), 0.0
         if self.discrepancy is not None:
             wrong, deviation = self.discrepancy(action)
         miss = np.array([values[q.name] for q in task.goals]) + wrong - self.goal
-        miss = miss / self.goal_units if task.goals else task.error(item, self.goal, values)
         caution = 0.0
         if task.risk is not None:
             share = values[task.risk.name] / (task.risk.limit * unit_of(task.risk.unit, item))
             caution = RISK_WEIGHT * max(0.0, share - RISK_MARGIN)
-        return np.r_[miss, caution, deviation / self.goal_unit]
-
-    def flat(self, points: Sequence[Array]) -> Asking[list[_Point]]:
-        """With residuals alone."""
-        r = yield from self.residuals(points)
-        return [_Point(z=z, r=x) for z, x in zip(points, r, strict=True)]
+        return np.r_[miss / self.goal_units, caution, deviation / self.goal_unit]
 
     def point(self, z: Array) -> Asking[_Point]:
         """With residuals and derivatives, simulated side by side."""
@@ -194,7 +181,6 @@ def polishing(
     start: ArrayLike,
     *,
     seconds: float = 10.0,
-    seed: int = 0,
     discrepancy: Discrepancy | None = None,
 ) -> Asking[Polished]:
     """`polish` as a search that asks for rollouts, for many at once (`side_by_side`).
@@ -205,57 +191,33 @@ def polishing(
         belief: The object, as `gendom.policies.belief.believed` gives it, or `Estimate.of` one.
         start: [A] where to begin, such as a policy's action, in SI units.
         seconds: Wall time after which the best so far is taken [s].
-        seed: Of the variations, where a task has no goals.
         discrepancy: Of the simulator, as learnt from executions.
 
     Raises:
-        ParameterError: An argument has the wrong shape, or the start is out of its limits.
+        ParameterError: An argument has the wrong shape, the start is out of its limits, or the task
+            has no goals: a share that is enough or not has no derivative.
         SimulationError: The start cannot be simulated.
     """
     began = time.monotonic()
-    wanted = np.atleast_1d(np.asarray(goal, dtype=float)) if task.goals else np.empty(0)
+    require(task.goals, f"{task.name} has no goal by which actions can be polished")
+    wanted = np.atleast_1d(np.asarray(goal, dtype=float))
     fits = wanted.shape == (len(task.goals),) and np.isfinite(wanted).all()
     require(fits, f"is {wanted.tolist()}", where="goal")
     require(seconds > 0.0, f"must be positive, got {seconds}", where="seconds")
     problem = PolishingProblem(task, wanted, belief, discrepancy)
     first = problem.start(task.check_action(problem.item, start))
-    rng, deadline = np.random.default_rng(seed), began + seconds
-    if task.goals:
-        points = [(yield from problem.point(first))]
-    else:
-        points = yield from problem.flat([first, *map(np.array, task.candidates)])
+    start_point = yield from problem.point(first)
     what = f"no action of {task.name} can be simulated with this {task.kind}"
     fix = "check the object's numbers"
-    require(min(p.cost for p in points) < np.inf, what, fix=fix, error=SimulationError)
-    if task.goals:
-        best = yield from _improved(problem, points[0], deadline)
-    else:
-        best = yield from _varied(problem, points, rng, deadline)
+    require(start_point.cost < np.inf, what, fix=fix, error=SimulationError)
+    best = yield from _improved(problem, start_point, began + seconds)
     return Polished(
         action=task.check_action(problem.item, problem.action(best.z)),
         expected=float(np.sqrt(best.cost)) * problem.goal_unit,
-        before=float(np.sqrt(points[0].cost)) * problem.goal_unit,
+        before=float(np.sqrt(start_point.cost)) * problem.goal_unit,
         rollouts=problem.rollouts,
         seconds=time.monotonic() - began,
     )
-
-
-def _varied(
-    problem: PolishingProblem, points: Sequence[_Point], rng: np.random.Generator, deadline: float
-) -> Asking[_Point]:
-    """The best that variations of the best lead to from some points until a time [s]."""
-    best = min(points, key=lambda p: p.cost)
-    width = problem.high - problem.low
-    round_seconds = 0.0
-    for k in range(MAX_ITERATIONS):
-        starts = time.monotonic()
-        if best.cost < TOLERANCE**2 or deadline - starts < round_seconds:
-            break
-        away = VARIATION * 0.7**k * width * rng.normal(size=(VARIATIONS, len(width)))
-        found = yield from problem.flat([problem.nearest(best.z + one) for one in away])
-        best = min([best, *found], key=lambda p: p.cost)
-        round_seconds = time.monotonic() - starts
-    return best
 
 
 def _improved(problem: PolishingProblem, best: _Point, deadline: float) -> Asking[_Point]:

@@ -250,19 +250,24 @@ def lift_cameras(item: RealObject) -> list[Camera]:
     return default_cameras((START + size / 2.0, 0.0, motions.RISE * size / 2.0))
 
 
-def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
+def task_trial(
+    task: Task, item: RealObject, action: npt.ArrayLike, lying: Observed | None = None
+) -> Trial:
     """A task with an object, in front of the arm.
 
     Args:
         task: What is done.
         item: The object.
         action: [A].
+        lying: As it was seen in the try before.
 
     Raises:
         ParameterError: The task does not allow it.
     """
     scene, T = task.scene(item), task.T_world_task(item)
     path = task.tool_path(item, task.check_action(item, action))
+    if lying is not None:
+        path = task.next_path(item, lying.points[-1], lying.hand[-1])
     closes = next(e.time for e in path.events if e.closed)
     cloth = task.kind == "cloth"
     origin = np.array(scene.origin, dtype=float)
@@ -337,25 +342,34 @@ class RealWorld:
         own = {"robot": self.robot, "air_density": AIR_DENSITY, "timestep": self.timestep}
         return {"world": "reality", **own}
 
-    def begin(self, task: Task, item: Item, action: npt.ArrayLike) -> TrialRun:
-        """A task about to be carried out.
+    def begin(
+        self, task: Task, item: Item, action: npt.ArrayLike, lying: Observed | None = None
+    ) -> TrialRun:
+        """A try of a task about to be carried out, see `task_trial`.
 
         Raises:
             RobotError: The arm cannot do it.
             ParameterError: The task does not allow it.
         """
-        trial = task_trial(task, as_real(item), action)
+        trial = task_trial(task, as_real(item), action, lying)
         if self.timestep is not None:
             trial = replace(trial, timestep=self.timestep, adaptive=False)
-        return TrialRun(trial, robot=self.robot)
+        run = TrialRun(trial, robot=self.robot)
+        if lying is not None:
+            run.world.place(placed(task.T_world_task(item), lying.points[-1]))
+        return run
 
 
 def _carried_out(world: RealWorld, task: Task, keep: bool, item: Item, action: Array) -> Outcome:
+    outcome, n = Outcome(values={}), 0
     try:
-        seen = observe(task, world.begin(task, item, action))
+        while n < task.tries and not (n and task.within_risk(item, outcome.values)):
+            seen, n = observe(task, world.begin(task, item, action, outcome.seen)), n + 1
+            outcome = Outcome(values=task.outcome(item, seen), seen=seen, tries=n)
     except (RobotError, SimulationError) as error:
-        return Outcome(values={}, fault=str(error))
-    return Outcome(values=task.outcome(item, seen), seen=seen if keep else None)
+        # after a try the object stays as it lies
+        outcome = outcome if n else Outcome(values={}, fault=str(error))
+    return outcome if keep else replace(outcome, seen=None)
 
 
 @functools.cache

@@ -249,6 +249,11 @@ class Reality:
         self._twist = None
         self.data.xfrc_applied[:] = 0.0
 
+    def place(self, vertices: Array) -> None:
+        """Put the object's vertices [V, 3] [m] somewhere, at rest."""
+        self.data.qpos[self._dofs] += vertices - self.vertices()
+        self._mujoco.mj_forward(self.model, self.data)
+
     # ---- ground truth ----------------------------------------------------------------------------
 
     def vertices(self) -> Array:

@@ -177,6 +177,13 @@ class Simulator(Shown):
         affine = check_numbers("affine", affine, (), (3, 3), (N, 3, 3), ("W", N, 3, 3))
         self.engine.set_velocities(v, affine)
 
+    def set_positions(self, x: ArrayLike) -> None:
+        """Set positions [W, N, 3] of points as they were simulated [m]: a cloth's folds may cross,
+        which those that it begins with may not."""
+        if isinstance(self.engine, MpmEngine):
+            raise ParameterError("particles cannot be put elsewhere", fix="engine='thin'")
+        self.engine.set_positions(check_numbers("positions", x, ("W", self.num_points, 3)))
+
     def run(
         self,
         times: ArrayLike,

@@ -1,5 +1,5 @@
-"""Cloth dragging: a cloth that hangs from one hand is laid down and dragged to and fro, until it
-lies spread.
+"""Cloth dragging: a cloth that hangs from one hand is laid down and dragged to and fro, and what is
+folded then is pulled over its folds, until it lies spread.
 
 One hand can so spread cloths that are too limp for `cloth_spreading`: friction opens them.
 """
@@ -37,6 +37,11 @@ MAX_SPEED, MAX_ACCELERATION = 0.71, 0.8
 BLEND = (1.0, 2.0)
 """Time in which the tool turns a corner: the sharper it is the longer [sqrt(L / g)]."""
 
+PULL = ((-4.0, -0.06, 0.0), (0.0, -0.06, 0.0), (1.0, 0.09, 0.1), (1.6, 0.39, 0.1),
+        (2.6, 0.54, 0.0), (5.6, 0.54, 0.0))  # fmt: skip
+"""Times [sqrt(L / g)] and places of the tool where it pulls what is not spread yet, the first where
+it closes: outwards from the outline and above the table [sides]."""
+
 BOX = {"h": (0.0, 0.47), "x": (-1.6, 2.6), "y": (-1.0, 1.0), "z": (0.0, 1.45), "t": (BLEND[0], 4.0)}
 """Limits of each number of an action [sides], [sqrt(L / g)]."""
 
@@ -54,22 +59,14 @@ NAMES = (
 )
 
 MOTIONS = (
-    (0.4566, -0.0909, 0.0792, 0.2775, 1.9859, -0.509, 0.205, 1.1728, 1.7367, 0.4068,
-     0.1247, 0.0544, 2.7198, 2.3997, 0.073, 0.0, 3.8081, 2.3997, 0.073, 1.0),
-    (0.4661, 0.177, 0.1301, 0.4117, 2.1557, -0.7219, 0.0005, 0.9777, 1.4828, -0.1814,
-     -0.0853, 0.3338, 2.949, 1.7387, -0.0794, 0.1377, 3.6277, 2.0069, 0.145, 1.8607),
-    (0.4332, -0.0736, 0.1416, 0.3899, 1.7949, -0.9362, 0.1583, 0.8884, 2.0902, 0.373,
-     0.0669, 0.3625, 2.7225, 1.5422, -0.2737, 0.17, 3.5424, 2.6, -0.1282, 1.8631),
-    (0.4661, -0.1202, 0.1415, 0.4055, 1.6162, -1.0094, 0.096, 0.9411, 2.0827, 0.3747,
-     -0.063, 0.4067, 2.8558, 1.2009, -0.23, 0.2158, 3.5359, 2.6, -0.0606, 1.8086),
-    (0.4641, -0.0309, 0.1814, 0.4428, 1.7946, -1.0355, 0.0948, 1.052, 1.5807, -0.5473,
-     0.0386, 0.2544, 3.1209, 1.9538, -0.0962, 0.088, 3.5828, 2.309, -0.1801, 2.0697),
     (0.4411, -0.0952, 0.0379, 0.0592, 2.1259, -1.0132, 0.0149, 0.7237, 1.7486, -0.2009,
      0.2179, 0.5445, 3.1719, 1.2034, -0.2147, 0.2915, 3.4155, 2.4002, -0.3244, 2.8542),
-    (0.1505, 0.7483, 0.2706, 0.0472, 2.1686, 1.0096, -0.1664, 0.0167, 2.1928, -0.703,
-     0.5305, 0.0167, 2.6314, 0.5207, -0.2534, 0.0, 1.9887, 0.5207, -0.2534, 1.0),
-    (0.4136, -0.6819, 0.014, 0.418, 2.0706, -0.7454, -0.0196, 1.2765, 1.0, 0.413,
-     0.0748, 0.0, 2.5672, 2.6, 0.4068, 0.0, 4.0, 2.6, 0.4068, 1.0),
+    (0.4661, 0.177, 0.1301, 0.4117, 2.1557, -0.7219, 0.0005, 0.9777, 1.4828, -0.1814,
+     -0.0853, 0.3338, 2.949, 1.7387, -0.0794, 0.1377, 3.6277, 2.0069, 0.145, 1.8607),
+    (0.4641, -0.0309, 0.1814, 0.4428, 1.7946, -1.0355, 0.0948, 1.052, 1.5807, -0.5473,
+     0.0386, 0.2544, 3.1209, 1.9538, -0.0962, 0.088, 3.5828, 2.309, -0.1801, 2.0697),
+    (0.4661, -0.1202, 0.1415, 0.4055, 1.6162, -1.0094, 0.096, 0.9411, 2.0827, 0.3747,
+     -0.063, 0.4067, 2.8558, 1.2009, -0.23, 0.2158, 3.5359, 2.6, -0.0606, 1.8086),
 )  # fmt: skip
 """Numbers of actions, by `NAMES`, that spread many cloths [sides], [sqrt(L / g)]: found by CMA-ES
 for cloths of unlike stiffness, friction, air and hold (experiments/dragging.py)."""
@@ -100,6 +97,7 @@ class ClothDragging(ClothSpreading):
         default_factory=lambda: {**RANGES, "E_over_rho": (105.0, 4300.0)}
     )
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = MOTIONS
+    tries: ClassVar[int] = 5
 
     def limits(self, item: Item) -> Array:
         return np.array([BOX[n[0]] for n in NAMES]) * self.action_units(item)[:, None]
@@ -111,7 +109,7 @@ class ClothDragging(ClothSpreading):
         return f"and take at most {LONGEST * unit_of('s', item):.3g} s"
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
-        side, second = size_of(item), unit_of("s", item)
+        side = size_of(item)
         place, duration, blend = self._waypoints(item, action)
         # rounded off, the tool moves half a blend earlier: at 0
         rises = 0.5 * blend
@@ -124,13 +122,28 @@ class ClothDragging(ClothSpreading):
         axes = np.array([[-c, -c, 0.0], [c, -c, 0.0], [0.0, 0.0, 1.0]])
         held = 0.5 + np.array(self.off_centre) - action[0] / side
         start = np.array([*np.maximum(held, 0.5 - BOX["h"][1]), 0.0])
+        return self._path(item, time, side * (start + place @ axes), blend)
+
+    def _path(self, item: Item, time: Array, position: Array, blend: float) -> TcpPath:
+        """Times and blend [sqrt(L / g)]; the hand closes at first."""
+        time, blend = unit_of("s", item) * time, unit_of("s", item) * blend
+        events = (GripperEvent(time=time[0], closed=True),)
         return TcpPath(
-            time=second * time,
-            position=side * (start + place @ axes),
-            quat_xyzw=np.array(DOWN),
-            events=(GripperEvent(time=-WAIT * second, closed=True),),
-            blend=blend * second,
+            time=time, position=position, quat_xyzw=np.array(DOWN), events=events, blend=blend
         )
+
+    def next_path(self, item: Item, x: Array, hand: Array) -> TcpPath:
+        # Corners that lie folded under the cloth unroll where it is pulled over them: at what lies
+        # farthest to one side of the line from the hand to the far corner, to that side.
+        away = x[:, :2] - hand[:2]
+        far = away[np.argmax(np.linalg.norm(away, axis=1))]
+        left = np.array([-far[1], far[0]]) / np.linalg.norm(far)
+        widest = np.argmax(np.abs(aside := away @ left))
+        way = left * np.sign(aside[widest])
+        time, out, up = np.array(PULL).T
+        place = size_of(item) * np.column_stack([np.outer(out, way), up])
+        place += [*x[widest, :2], max(0.5 * thickness_of(item), MIN_HEIGHT)]
+        return self._path(item, time + self.end - time[-1], place, BLEND[0])
 
     def _waypoints(self, item: Item, action: Array) -> tuple[Array, Array, float]:
         """[1 + WAYPOINTS, 3] the top and the waypoints, along the diagonal, to its left and above

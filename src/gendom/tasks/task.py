@@ -155,6 +155,8 @@ class Outcome:
     """What went wrong; None: nothing."""
     seen: Observed | None = None
     """What it was judged by, if asked for."""
+    tries: int = 1
+    """How many there were, see `Task.tries`."""
 
 
 def numbers_of(outcomes: Sequence[Outcome], quantities: Sequence[Quantity]) -> Array:
@@ -227,6 +229,8 @@ class Task(ABC):
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
     """[K][A] actions among which policies of a task without goals choose, those to be preferred
     first [units of similarity]; demonstrations are drawn from them."""
+    tries: ClassVar[int] = 1
+    """At the most, until the outcome is within the risk; after the first by `next_path`."""
     cost: ClassVar[float] = 1.0
     """About how long a demonstration takes, in those of rope reaching: long ones are written to a
     data set in smaller parts."""
@@ -318,6 +322,11 @@ class Task(ABC):
         """[W] outcomes by name."""
         rows = [self.outcome(item, seen[w]) for w, item in enumerate(items)]
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+    def next_path(self, item: Item, x: Array, hand: Array) -> TcpPath:
+        """Where the tool goes in a further try, which ends when an action's does; by points [n, 3]
+        as they are seen from above, and the hand [3] where it let go [m]."""
+        raise ParameterError(f"{self.name} is tried once")
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
         """How far from a goal [G] an outcome is, in the goals' unit."""

@@ -79,7 +79,7 @@ class Simulation:
         if not found:
             return found
         items = Items.of(items)
-        groups = self._groups(task, items)
+        groups, tries = self._groups(task, items), task.tries if self.engine == "thin" else 1
         if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
             what = "layers of cloth that touch stick to each other in the MPM; engine 'thin' keeps"
             _log.warning("%s: %s them apart", task.name, what)
@@ -87,7 +87,9 @@ class Simulation:
         while parts:
             some = parts.pop(0)
             try:
-                made = self._side_by_side(task, items.some(some), wanted[some], keep, on_frame)
+                made = self._side_by_side(
+                    task, items.some(some), wanted[some], keep, on_frame, tries
+                )
             except RuntimeError as error:  # Warp's own
                 if "allocate" not in str(error) or len(some) == 1:
                     raise
@@ -184,14 +186,21 @@ class Simulation:
         actions: Array,
         keep: bool,
         on_frame: Callable[[int], None] | None,
+        tries: int,
+        lying: Sequence[Observed] = (),
     ) -> list[Outcome]:
-        """Simulate objects of one size."""
+        """Simulate objects of one size, up to some tries, the first as they were seen last."""
         paths = task.tool_paths(items, actions)
+        if lying:
+            ends = zip(items, lying, strict=True)
+            paths = TcpPaths([task.next_path(i, s.points[-1], s.hand[-1]) for i, s in ends])
         begin, times = float(paths.moves.min()), task.times(items[0])
         if self.everything:
             before = np.linspace(begin, times[0], EARLIER_FRAMES, endpoint=False)
             times = np.concatenate([before, times])
         simulator, body = self.simulator(task, items, paths, begin)
+        if lying:
+            simulator.set_positions([seen.points[-1] for seen in lying])
         all_points = self.everything or task.watches == "all"
         if self.engine == "thin":
             tip = np.array([len(body.points) - 1])
@@ -201,7 +210,18 @@ class Simulation:
         seen = None if all_points else tip
         recorded = simulator.run(times, on_frame=on_frame, particles=seen, keep_going=True)
         hands, opens = paths.position_at(times), of_each(paths.events, opening)
-        return judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
+        keep = keep or tries > 1
+        found = judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
+        left = {w: o.seen for w, o in enumerate(found)
+                if tries > 1 and o.seen and not task.within_risk(items[w], o.values)}  # fmt: skip
+        if left:
+            which, lying = np.array(list(left)), list(left.values())
+            more = self._side_by_side(
+                task, items.some(which), actions[which], keep, on_frame, tries - 1, lying
+            )
+            for w, outcome in zip(left, more, strict=True):
+                found[w] = replace(outcome, tries=outcome.tries + 1)
+        return found
 
 
 def judged(

@@ -176,6 +176,13 @@ class ThinEngine(Engine):
         self.state.assign(rows)
         self.last_dt = np.zeros(self.num_worlds)
 
+    def set_positions(self, x: Array) -> None:
+        """Set points' positions [W, n, 3] [m]."""
+        rows = self.state.numpy()
+        rows[:, X, self.slots] = np.swapaxes(x - self.origin, 1, 2)
+        self.state.assign(rows)
+        self.launch(self.kernels.begin, slice(0, self.num_worlds), [self.device_model, self.state])
+
     # ---- running ---------------------------------------------------------------------------------
 
     def run(
