@@ -84,8 +84,8 @@ FLOAT32 = Variant(wp.float32, damped=True, sorts=True, room=96_000, threads=128)
 FLOAT64 = Variant(wp.float64, damped=False, sorts=True, threads=256)
 
 
-def of_thin(kind, real, name, held=0):
-    return getattr(make_kernels(real, kind, held), name)
+def of_thin(kind, real, name, *more):
+    return getattr(make_kernels(real, kind, *more), name)
 
 
 SOURCES = {
@@ -101,8 +101,9 @@ SOURCES = {
     },
     **{f"rods of {32 * held} points": partial(of_thin, "rod", wp.float64, "advance", held)
        for held in (1, 2, 4)},
+    "shells in shared memory": partial(of_thin, "shell", wp.float32, "advance", 0, 22528, 2),
 }  # fmt: skip
-FAST = ("mpm float32", "rods of 32 points", "shell float32 reverse")
+FAST = ("mpm float32", "rods of 32 points", "shell float32 reverse", "shells in shared memory")
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ class Command(Where):
         check_folder(self.out)
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
-        dtype = "float32" if kind.kind == "rope" and self.engine == "thin" else None
+        dtype = "float32" if self.engine == "thin" else None
         world, items = self.world_and_items(Simulation(engine=self.engine, dtype=dtype))
         acts = None
         if self.policy is not None:

@@ -49,7 +49,7 @@ FORMAT = "gendom-demonstrations/2"
 GOAL = "goal_"
 """Prefix of columns of goals."""
 
-SHARD_SIZE = {"cpu": 4096, "cuda": 65536}
+SHARD_SIZE = {"cpu": 4096, "cuda": 262144}
 """Default numbers of demonstrations in a shard, of cost 1."""
 
 _DESCRIPTION, _LOCK = "dataset.json", ".lock"

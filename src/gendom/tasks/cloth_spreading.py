@@ -209,11 +209,11 @@ def spread_areas(x: Array, triangles: np.ndarray) -> tuple[float, float]:
     pixels = (x[:, :2] - x[:, :2].min(axis=0)) / PIXEL
     width, height = (int(p) + 2 for p in pixels.max(axis=0))
     picture = Image.new("1", (width, height))
-    draw = ImageDraw.Draw(picture)
-    areas = []
+    core = ImageDraw.Draw(picture).draw  # its polygons alone take half the time
+    ink, areas = core.draw_ink(1), []
     for part in (triangles[flat], triangles[~flat]):
         for triangle in pixels[part].reshape(-1, 6).tolist():
-            draw.polygon(triangle, fill=1)
+            core.draw_polygon(triangle, ink, 1)
         # pixels that a border crosses count as covered
         areas.append(min(float(np.asarray(picture).sum()) * PIXEL**2, 1.0))
     return areas[0], areas[1]

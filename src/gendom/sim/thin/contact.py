@@ -53,11 +53,10 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
         "push": np.zeros((W * on, 10, n)),
         # where nothing is near: the first step lists pairs
         "listed": np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)),
-        "boxes": np.zeros((W * on, 6, n)),
+        "boxes": np.zeros((W * on, 10, n)),
         **{name: np.zeros((*pairs, 2), np.int32) for name in ("near", "close")},
-        **{f"{name}_count": np.zeros((W * on, 2), np.int32) for name in ("near", "close")},
         "touching": np.zeros(pairs, np.int32),
-        "touching_count": np.zeros(W * on, np.int32),
+        **{f"{name}_count": np.zeros((W * on, 2), np.int32) for name in ("near", "close")},
     }
 
 

@@ -32,6 +32,9 @@ SHORTEST_SUBSTEP = 1e-9
 MOST_HELD, MOST_GRIPPERS = 4, 15
 """Of rods in the registers of 32 CUDA threads: points in each, and grippers, at most."""
 
+OTHER_SHARED = 16384
+"""What kernels have in shared memory beside the scratch, at most [bytes]."""
+
 GROUP, SHARES = 16, 32
 """Maximum number of worlds that a CPU thread simulates at a time, of many a share of all."""
 
@@ -59,7 +62,7 @@ class ThinEngine(Engine):
         short = m.kind == "rod" and n <= 32 * MOST_HELD and G <= MOST_GRIPPERS
         self.held = -(-n // 32) if s.device.is_cuda and short and not s.self_contact else 0
         """Points of a rod that a thread's registers hold; 0: its state is in memory."""
-        self.kernels = make_kernels(self.real, m.kind, self.held)
+        self.kernels = make_kernels(self.real, m.kind, self.held, *self._room())
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
         """Of a world."""
         self.block = self.threads if self.threads > 1 else 256
@@ -401,6 +404,17 @@ class ThinEngine(Engine):
             block_dim=self.block,
             record_cmd=record_cmd,
         )
+
+    def _room(self) -> tuple[int, int]:
+        """Numbers of a shell's scratch that CUDA keeps in shared memory, 0 if there is no room, and
+        how many blocks with so many a multiprocessor takes."""
+        device, m = self.setting.device, self.model
+        if m.kind == "rod" or not device.is_cuda:
+            return 0, 0
+        room = -(-m.scratch_rows * m.row_length // 2048) * 2048  # for few different kernels
+        taken = room * np.dtype(self.setting.dtype).itemsize + OTHER_SHARED
+        blocks = min(device.max_shared_memory_per_block // taken, 2)
+        return room * min(blocks, 1), blocks
 
     def _device_model(self) -> Any:
         s, W, n, m = self.setting, self.num_worlds, self.num_points, self.model

@@ -36,7 +36,7 @@ class ShellModel:
 
     kind: ClassVar = "shell"
     directed: ClassVar = False
-    state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 24, 33
+    state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 21, 33
     threads_on_cuda: ClassVar = 256
     undamped_cfl: ClassVar = 0.4
     """Nonlinear vibrations gain energy in longer steps, see ``benchmarks/swing.py``."""

@@ -24,23 +24,29 @@ from gendom.sim.paths import make_path_type, make_paths
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH
 from gendom.sim.thin.native import MODULE_OPTIONS, make_native
+from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.types import make_types
 
 CHECKED = 256
 """Steps between two checks of a body's mean stretch."""
 
 POSES = 64
-"""Of grippers of a rod in registers in the next steps, see ``native/registers.h``."""
+"""Of grippers in the next steps that CUDA keeps in shared memory, see ``native/hold.h``."""
 
 
 @functools.cache
-def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
+def make_kernels(
+    real: Any, kind: str, held: int = 0, room: int = 0, blocks: int = 0
+) -> SimpleNamespace:
     """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``; with
-    ``held`` points of rods without contact with themselves in the registers of each thread."""
+    ``held`` points of rods without contact with themselves in the registers of each thread, or
+    ``room`` in shared memory for numbers of a shell's scratch, with so many blocks on a
+    multiprocessor."""
     types, native, paths_of = make_types(real), make_native(real, kind, held), make_paths(real)
     Registers = native.Registers
     ThinModel, ModelAdjoint, ThinRun = types.ThinModel, types.ModelAdjoint, types.ThinRun
     vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
+    IN_SHARED_MEMORY, numbers = wp.constant(room > 0), wp.constant(room)
     limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
 
     @wp.func
@@ -106,6 +112,30 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
         return run.begins[w, p] + wp.float64(run.done[w, p] + k + 1) * run.dt[w, p]
 
     @wp.func
+    def look_ahead(
+        model: ThinModel, w: int, p: int, k: int, most: int, closed: int, thread: int, threads: int,
+        paths: Paths, run: ThinRun,
+    ):  # fmt: skip
+        """Find the poses of closed grippers at the ends of ``most`` steps from step k on, each
+        thread those of another step."""
+        native.block_sync()
+        for i in range(thread, most, threads):
+            for g in range(model.holds.shape[1]):
+                if (closed >> g) & 1 == 1:
+                    at, q, _knot = paths_of.placed(w, g, end_of(run, w, p, k + i), paths)
+                    native.put_pose(i + g * most, vec3(at), quat(q))
+        native.block_sync()
+
+    @wp.func
+    def closed_from(model: ThinModel, w: int, began: wp.float64, paths: Paths) -> int:
+        """Bits of the grippers that are closed from a time on."""
+        closed = int(0)
+        for g in range(wp.min(model.holds.shape[1], POSES // 2)):
+            if paths_of.is_closed(w, g, began, paths):
+                closed |= 1 << g
+        return closed
+
+    @wp.func
     def divide(run: ThinRun, w: int):
         """Make a span one piece of equal steps no longer than the world's longest."""
         span = run.span[1] - run.span[0]
@@ -148,9 +178,15 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
         """Take steps of a piece; returns whether the squared stretch of an edge exceeded
         ``limit``. Grippers are closed that were when the piece began."""
         state, dt, row = run.state, real(run.dt[w, p]), int(w - run.offset + first * run.stride)
+        most = POSES // wp.max(model.holds.shape[1], 2)
+        closed = int(0)
+        if threads > 1 and most > 1:
+            closed = closed_from(model, w, run.begins[w, p], paths)
         bad = int(0)
         for k in range(first, end):
             next, t = row + run.stride, end_of(run, w, p, k)
+            if closed != 0 and (k - first) % most == 0:
+                look_ahead(model, w, p, k, most, closed, thread, threads, paths, run)
             if model.obstacles.shape[1] > 0:
                 place_obstacles(model, w, thread, t, dt)
             if not native.forces(model, w, state, row, next, dt) <= limit:
@@ -158,7 +194,12 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
             native.block_sync()
             native.move(model, w, state, row, next, dt, kick_of(run, w, p, k))
             native.block_sync()
-            hold_all(model, w, run.begins[w, p], t, paths, state, next)
+            if closed == 0:
+                hold_all(model, w, run.begins[w, p], t, paths, state, next)
+            for g in range(model.holds.shape[1]):
+                if (closed >> g) & 1 == 1:
+                    native.hold_ahead(model, w, g, (k - first) % most + g * most, state, next)
+                    native.block_sync()
             if model.contact == 1:
                 native.resolve(model, w, state, next, dt)
             row = next
@@ -173,13 +214,10 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
     ) -> int:  # fmt: skip
         """As ``steps_in_rows``; each thread finds where grippers are at the end of another step."""
         row, h = int(w - run.offset + first * run.stride), real(run.dt[w, p])
-        closed = int(0)
-        for g in range(model.holds.shape[1]):
-            if paths_of.is_closed(w, g, run.begins[w, p], paths):
-                closed |= 1 << g
+        closed = closed_from(model, w, run.begins[w, p], paths)
         own = Registers()
         holds = native.begin(model, w, run.state, row, closed, own)
-        most = POSES // wp.max(model.holds.shape[1], POSES // 32)
+        most = POSES // wp.max(model.holds.shape[1], 2)
         shares = vec3()
         bad = int(0)
         for k in range(first, end):
@@ -190,13 +228,7 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
                 shares = native.shares_of(model, w, h, kick)
             ahead = (k - first) % most
             if closed != 0 and ahead == 0:
-                native.block_sync()
-                for i in range(thread, most, threads):
-                    for g in range(model.holds.shape[1]):
-                        if (closed >> g) & 1 == 1:
-                            at, q, _knot = paths_of.placed(w, g, end_of(run, w, p, k + i), paths)
-                            native.put_pose(i + g * most, vec3(at), quat(q))
-                native.block_sync()
+                look_ahead(model, w, p, k, most, closed, thread, threads, paths, run)
             if model.obstacles.shape[1] > 0:
                 place_obstacles(model, w, thread, end_of(run, w, p, k), h)
             if not native.step_in_registers(
@@ -214,6 +246,8 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
     steps = steps_in_registers if held else steps_in_rows
     # so many ropes on a multiprocessor: more have to keep too much in memory
     bounds = (32, 12 if real == wp.float64 else 16) if held == 1 else None
+    if room:
+        bounds = (ShellModel.threads_on_cuda, blocks)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds)
     def advance(first: int, threads: int, model: ThinModel, paths: Paths, run: ThinRun):
@@ -224,6 +258,9 @@ def make_kernels(real: Any, kind: str, held: int = 0) -> SimpleNamespace:
         thread = wp.tid() % threads
         state, kept = run.state, run.kept
         row = w - run.offset
+        if IN_SHARED_MEMORY:
+            wp.tile_empty(shape=numbers, dtype=real, storage="shared")
+            native.move_to_shared(model, w)
         if run.span.shape[0] > 0:
             if thread == 0:
                 divide(run, w)

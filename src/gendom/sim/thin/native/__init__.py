@@ -27,7 +27,7 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
     types = make_types(real)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
     vec3, quat = types.vec3, types.quat
-    rows = wp.array3d(dtype=real)
+    rows, number = wp.array3d(dtype=real), "float" if real == wp.float32 else "double"
 
     @wp.func_native("gendom::block_sync();")
     def block_sync(): ...
@@ -57,10 +57,19 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
     @wp.func_native(f"return gendom::{kind}_stretch(model, state, row);")
     def mean_stretch(model: ThinModel, state: rows, row: int) -> real: ...
 
-    @wp.func_native("gendom::hold(model, w, g, centre, turned, state, next);")
+    @wp.func_native("gendom::hold(model, w, g, gendom::to_pose(centre, turned), state, next);")
     def hold(
         model: ThinModel, w: int, g: int, centre: vec3, turned: quat, state: rows, next: int
     ): ...
+
+    @wp.func_native("gendom::put_pose(index, centre, turned);")
+    def put_pose(index: int, centre: vec3, turned: quat): ...
+
+    @wp.func_native(f"gendom::hold(model, w, g, gendom::pose_of<{number}>(index), state, next);")
+    def hold_ahead(model: ThinModel, w: int, g: int, index: int, state: rows, next: int): ...
+
+    @wp.func_native("gendom::move_to_shared(model, w);")
+    def move_to_shared(model: wp.ref[ThinModel], w: int): ...
 
     @wp.func_native("gendom::hold_adjoint(model, adjoint, w, g, turned);")
     def hold_adjoint(model: ThinModel, adjoint: ModelAdjoint, w: int, g: int, turned: quat): ...
@@ -76,9 +85,6 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
 
     @wp.func_native("gendom::store(state, row, own);")
     def store(state: rows, row: int, own: wp.ref[Registers]): ...
-
-    @wp.func_native("gendom::put_pose(index, centre, turned);")
-    def put_pose(index: int, centre: vec3, turned: quat): ...
 
     @wp.func_native("return gendom::shares_of(model, w, dt, kick);")
     def shares_of(model: ThinModel, w: int, dt: real, kick: real) -> vec3: ...

@@ -17,7 +17,9 @@ constexpr double enough_distance = 0.9;
 
 template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, real a) {
 #if defined(__CUDA_ARCH__)
-    atomicAdd(rows.first + c * rows.pitch + i, a);
+    const auto to = __cvta_generic_to_global(rows.first + c * rows.pitch + i);  // no question where it is
+    if constexpr (sizeof(real) == 4) asm volatile("red.global.add.f32 [%0], %1;" ::"l"(to), "f"(a) : "memory");
+    else asm volatile("red.global.add.f64 [%0], %1;" ::"l"(to), "d"(a) : "memory");
 #else
     rows.first[c * rows.pitch + i] += a;
 #endif
@@ -69,9 +71,6 @@ template <typename Model, typename real> struct contacts {
         close.read(k, one, other);
         return one % 4 == 3;
     }
-    // The pairs that `count_contacts` found to touch.
-    CUDA_CALLABLE inline int number() const { return wp::index(model.touching_count, w); }
-    CUDA_CALLABLE inline int at(int j) const { return wp::index(model.touching, w, j); }
     // The number of contacts among which the mass of point p is divided.
     CUDA_CALLABLE inline real split(int p) const {
         return push.template get<real>(6, p);
@@ -101,17 +100,20 @@ template <typename Model, typename real> struct contacts {
     }
 };
 
-// Finds the pairs that touch, and counts those of every point that share in it.
+// Counts the pairs that touch, of every point that shares in them; tells whether one of this thread's does.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void count_contacts(const Model& model, int w, const wp::array_t<real>& state, int row) {
+CUDA_CALLABLE inline int count_contacts(const Model& model, int w, const wp::array_t<real>& state, int row) {
     const contacts<Model, real> all(model, w, state, row, real(1), 0);
+    int some = 0;
     for (EACH_ONE_IN(k, 0, all.close.number())) {
         const meeting<real> m = all.pair(k);
-        if (m.distance >= model.contact_distance) continue;
-        wp::index(model.touching, w, count_on(wp::index(model.touching_count, w))) = k;
+        const int touches = wp::index(model.touching, w, k) = m.distance < model.contact_distance;
+        if (!touches) continue;
+        some = 1;
         for (int i = 0; i < 4; ++i)
             if (m.share[i] != real(0)) add_to(all.push, 6, m.point[i], real(1));
     }
+    return some;
 }
 
 // One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
@@ -123,8 +125,8 @@ CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::a
     const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * model.contact_distance;
     contact<real> c;
     int again = 0;
-    for (EACH_ONE_IN(j, 0, all.number())) {
-        if (!all.find(all.at(j), c)) continue;
+    for (EACH_ONE_IN(k, 0, all.close.number())) {
+        if (!wp::index(model.touching, w, k) || !all.find(k, c)) continue;
         if (c.places.distance < enough) again = 1;
         const vec<real> impulse = c.impulse(), shift = c.shift(dt);
         for (int i = 0; i < 4; ++i) {
@@ -136,17 +138,18 @@ CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::a
     return again;
 }
 
-// Velocities and positions take the impulses of a turn, which are then 0 again; none is known to touch any more.
+// Velocity and position of a point take the impulses of a turn, which are then 0 again.
+template <typename T, typename Rows> CUDA_CALLABLE inline void take_impulses_at(int p, const Rows& s, const Rows& push) {
+    typedef typename number_of<T>::type real;
+    s.add3(3, p, push.template get3<T>(0, p));
+    s.add3(0, p, push.template get3<T>(3, p));
+    for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
+}
 template <typename Model, typename real>
 CUDA_CALLABLE inline void take_impulses(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), push(model.push, w);
-    for (EACH_ONE_IN(k, 0, 1)) wp::index(model.touching_count, w) = k;
-    for (EACH_IN(p, model.first, model.end)) {
-        s.add3(3, p, push.template get3<T>(0, p));
-        s.add3(0, p, push.template get3<T>(3, p));
-        for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
-    }
+    for (EACH_IN(p, model.first, model.end)) take_impulses_at<T>(p, s, push);
 }
 
 // What a turn pushed into the table or an obstacle goes back to its surface; left there, it would be thrown out by
@@ -154,10 +157,11 @@ CUDA_CALLABLE inline void take_impulses(const Model& model, int w, const wp::arr
 template <typename Model, typename real>
 CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    take_impulses(model, w, state, row);
     const surroundings<T> around(model, w, real(1));
     const rows_of<real> s(state, row), loose(model.loose, w), push(model.push, w);
     for (EACH_IN(p, model.first, model.end)) {
+        if (largest_of(push.template get<T>(6, p)) == real(0)) continue;
+        take_impulses_at<T>(p, s, push);
         const vec<T> x = s.template get3<T>(0, p);
         push.put3(7, p, x);
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
@@ -165,12 +169,11 @@ CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<
     }
 }
 
-// One turn; tells whether another one is needed.
+// One turn, unless nothing touches; tells whether another one is needed.
 template <typename Model, typename real>
 CUDA_CALLABLE inline int turn_once(const Model& model, int w, const wp::array_t<real>& state, int row, real dt,
                                    int turn) {
-    count_contacts(model, w, state, row);
-    block_sync();
+    if (!block_any(count_contacts(model, w, state, row))) return 0;
     const int again = block_any(contact_impulses(model, w, state, row, dt, turn));
     end_turn(model, w, state, row);
     block_sync();
@@ -182,9 +185,17 @@ template <typename Model, typename real>
 CUDA_CALLABLE inline void resolve(const Model& model, int w, const wp::array_t<real>& state, int row, real dt) {
     rebuild_lists(model, w, state, row, 0, real(0.5) * model.contact_margin);
     if (near_pairs(model, w).number() == 0) return;
-    list_close(model, w, state, row);
+    wp::array_t<real> of = state;  // with positions and velocities
+    if (model.in_shared) of = model.scratch;
+    const int own = model.in_shared ? w : row;
+    const rows_of<real> s(state, row), there(of, own);
+    if (model.in_shared) copy_rows(model, 6, s, 0, there, 0);
+    list_close(model, w, of, own);
     for (int turn = 0; turn < model.contact_most_turns; ++turn)
-        if (!turn_once(model, w, state, row, dt, turn)) break;
+        if (!turn_once(model, w, of, own, dt, turn)) break;
+    if (!model.in_shared) return;
+    copy_rows(model, 6, there, 0, s, 0);
+    block_sync();
 }
 
 // ---- transposes ----------------------------------------------------------------------------------
@@ -348,9 +359,8 @@ CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adj
     const rows_of<real> b(adjoint.state, w), by(adjoint.model, w);
     contact<real> c;
     const contacts<Model, real> all(model, w, state, row, dt, turn);
-    for (EACH_ONE_IN(j, 0, all.number())) {
-        const int k = all.at(j);
-        if (all.find(k, c)) push_adjoint(all, k, c, b, by);
+    for (EACH_ONE_IN(k, 0, all.close.number())) {
+        if (wp::index(model.touching, w, k) && all.find(k, c)) push_adjoint(all, k, c, b, by);
     }
 }
 
@@ -367,6 +377,7 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
     int turns = 0;
     for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
         copy_rows(model, 6, s, 0, before, 9 * turns);
+        copy_rows(model, 3, s, 0, push, 7);
         again = turn_once(model, w, state, row, dt, turns);
         copy_rows(model, 3, push, 7, before, 9 * turns + 6);
     }

@@ -114,6 +114,21 @@ CUDA_CALLABLE inline box<real> box_of(const rows_of<real>& s, const feature& f) 
     return b;
 }
 
+// On CUDA a model whose scratch, and what else lives no longer than a step, is in shared memory, where it is 0.
+template <typename Model> CUDA_CALLABLE inline void move_to_shared(Model& model, int w) {
+#if defined(__CUDA_ARCH__)
+    typedef decltype(Model::radius) real;
+    extern __shared__ __align__(16) unsigned char gendom_shared[];
+    real* const to = (real*)gendom_shared;
+    const int numbers = model.scratch.strides[0] / sizeof(real);
+    for (int i = threadIdx.x; i < numbers; i += blockDim.x) to[i] = real(0);
+    model.scratch.data = to - w * numbers;
+    model.boxes.data = to - w * (model.boxes.strides[0] / sizeof(real));
+    model.in_shared = 1;
+    block_sync();
+#endif
+}
+
 // Adds 1 and returns what was there.
 CUDA_CALLABLE inline int count_on(int& count) {
 #if defined(__CUDA_ARCH__)
@@ -202,13 +217,39 @@ CUDA_CALLABLE inline int moved_on(const Model& model, int w, const wp::array_t<r
     return largest_of(most) <= far * far ? 0 : 1;
 }
 
+// Rows of boxes: the lowest and highest corners, whether a shell is folded at a point, and where that is.
+enum { FOLDED = 6, PLACE = 7 };
+
+template <typename real> CUDA_CALLABLE inline box<real> box_at(const rows_of<real>& boxes, int i) {
+    return {boxes.template get3<real>(0, i), boxes.template get3<real>(3, i)};
+}
+
+// Whether a point of a shell is much nearer than at rest to one that is at most three columns and rows away.
+template <typename Model, typename real>
+CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, const rows_of<real>& m, int c, int p) {
+    const vec<real> x = s.template get3<real>(c, p);
+    bool folded = false;
+    for (int rows = -3; rows <= 3; ++rows) {
+        const int q = p + rows * model.pitch;
+        if (q < model.first || q >= model.end) continue;
+        for (int columns = -3; columns <= 3; ++columns) {
+            const vec<real> d = s.template get3<real>(c, q + columns) - x;
+            const real along = real(columns) / model.per_x, across = real(rows) / model.per_y;
+            folded |= (dot(d, d) < real(0.64) * (along * along + across * across)) &
+                      (m.template get<real>(0, q + columns) > real(0));
+        }
+    }
+    return folded;
+}
+
 // Begins a list of points in rows c to c + 2, with the box of each one's features, which of a shell lie in the
 // cell that it is the first of; the threads meet before `list_pairs`.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void begin_list(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int c) {
-    const rows_of<real> s(state, row), then(model.listed, w), rest(model.rest, 0), m(model.inertia, w);
-    copy_rows(model, 3, s, c, then, 0);
+    const rows_of<real> s(state, row), then(model.listed, w), rest(model.rest, 0), m(model.inertia, w),
+        boxes(model.boxes, w);
+    copy_rows(model, 3, s, c, then, 0), copy_rows(model, 3, s, c, boxes, PLACE);
     const int pitch = model.pitch;
     for (EACH_ONE_IN(p, model.first, model.end)) {
         const auto has = [&](int kind) { return pitch > 0 && rest.template get<real>(kind, p) > real(0); };
@@ -220,7 +261,8 @@ CUDA_CALLABLE inline void begin_list(const Model& model, int w, const wp::array_
             b.include(s.template get3<real>(c, p + 1));
         if (has(1) || has(2)) b.include(s.template get3<real>(c, p + pitch));
         if (has(2)) b.include(s.template get3<real>(c, p + pitch + 1));
-        rows_of<real>(model.boxes, w).put3(0, p, b.low), rows_of<real>(model.boxes, w).put3(3, p, b.high);
+        boxes.put3(0, p, b.low), boxes.put3(3, p, b.high);
+        if (pitch > 0) boxes.put(FOLDED, p, real(is_folded(model, s, m, c, p)));
     }
     near_pairs(model, w).clear();
 }
@@ -249,23 +291,6 @@ CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& rest,
     return has(cell, 2);
 }
 
-// Whether corners of two neighbouring cells are much nearer than at rest; only there neighbours meet.
-template <typename Model, typename real>
-CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, int p, int q, int columns,
-                                    int rows) {
-    const real lx2 = real(0.64) / (model.per_x * model.per_x), ly2 = real(0.64) / (model.per_y * model.per_y);
-    bool folded = false;
-    for (int a = 0; a < 4; ++a) {
-        const vec<real> x = s.template get3<real>(0, p + a % 2 + a / 2 * model.pitch);
-        for (int b = 0; b < 4; ++b) {
-            const real along = real(columns + a % 2 - b % 2), across = real(rows + a / 2 - b / 2);
-            const vec<real> d = s.template get3<real>(0, q + b % 2 + b / 2 * model.pitch) - x;
-            folded |= dot(d, d) < along * along * lx2 + across * across * ly2;
-        }
-    }
-    return folded;
-}
-
 // Lists those of the listed pairs that may play a part in a step's contacts.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_t<real>& state, int row) {
@@ -282,14 +307,21 @@ CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_
     block_sync();
 }
 
-// Whether features of p and of q > p never meet: those of a rod's neighbours, and of a shell's whose cells are
-// not folded.
-template <typename Model, typename real>
-CUDA_CALLABLE inline bool is_neighbour(const Model& model, const rows_of<real>& s, int p, int q) {
+// Whether features of p and of q > p never meet: those of a rod's neighbours, and of a shell's where it is not folded.
+template <typename Model>
+CUDA_CALLABLE inline bool is_neighbour(const Model& model, int p, int q, bool folded) {
     const int pitch = model.pitch;
     if (pitch == 0) return q - p < model.contact_apart;
+    if (folded || q - p > 2 * pitch + 2) return false;
     const int columns = p % pitch - q % pitch, rows = p / pitch - q / pitch;
-    return columns <= 2 && columns >= -2 && rows >= -2 && !is_folded(model, s, p, q, columns, rows);
+    return columns <= 2 && columns >= -2 && rows >= -2;
+}
+
+// Whether one of the corners of a point's cell is folded.
+template <typename Model, typename real>
+CUDA_CALLABLE inline bool cell_is_folded(const Model& model, const rows_of<real>& boxes, int p) {
+    const auto at = [&](int i) { return boxes.template get<real>(FOLDED, i); };
+    return model.pitch > 0 && at(p) + at(p + 1) + at(p + model.pitch) + at(p + model.pitch + 1) > real(0);
 }
 
 // A cell that is folded on its diagonal.
@@ -323,24 +355,23 @@ template <typename real> struct may_meet {
 // the pairs of features of one hit. What may meet waits until there are enough for all lanes.
 template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& model, int w) {
     typedef decltype(Model::radius) real;
-    const rows_of<real> s(model.listed, w), rest(model.rest, 0), m(model.inertia, w), boxes(model.boxes, w);
-    constexpr int lanes = 32, most_warps = 32, half = lanes / 2;
+    const rows_of<real> boxes(model.boxes, w), s(&boxes.at(PLACE, 0), boxes.pitch), rest(model.rest, 0),
+        m(model.inertia, w);
+    constexpr int lanes = 32, most_warps = 8, half = lanes / 2;
     constexpr unsigned all = 0xffffffffu;
     __shared__ int waiting[most_warps][2 * lanes][2];
     const int lane = threadIdx.x % lanes, warp = threadIdx.x / lanes, warps = blockDim.x / lanes;
     const real far = model.contact_distance + model.contact_margin;
     const may_meet<real> may = {s, model.pitch, far * far};
-    const auto box_at = [&](int i) -> box<real> {
-        return {boxes.template get3<real>(0, i), boxes.template get3<real>(3, i)};
-    };
     int count = 0;
     for (int p = model.first + warp; p < model.end; p += warps) {
         if (!(m.template get<real>(0, p) > real(0))) continue;
-        const box<real> b = box_at(p);
+        const box<real> b = box_at(boxes, p);
+        const bool folded = cell_is_folded(model, boxes, p);
         for (int q0 = p + 1; q0 < model.end; q0 += lanes) {
             const int q = q0 + lane;
-            const bool is_near = q < model.end && gap_between(b, box_at(q)) < far * far &&
-                                 !is_neighbour(model, s, p, q);
+            const bool is_near = q < model.end && gap_between(b, box_at(boxes, q)) < far * far &&
+                                 !is_neighbour(model, p, q, folded);
             unsigned hits = __ballot_sync(all, is_near);
             while (hits != 0) {
                 const int first = __ffs(hits) - 1;
@@ -377,7 +408,8 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
 template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& model, int w) {
     typedef decltype(Model::radius) real;
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(model.listed, w), rest(model.rest, 0), m(model.inertia, w), boxes(model.boxes, w);
+    const rows_of<real> boxes(model.boxes, w), s(&boxes.at(PLACE, 0), boxes.pitch), rest(model.rest, 0),
+        m(model.inertia, w);
     const int width = sizeof(T) / sizeof(real);
     const real far = model.contact_distance + model.contact_margin;
     const may_meet<real> may = {s, model.pitch, far * far};
@@ -387,6 +419,7 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
         if (!(m.template get<real>(0, p) > real(0))) continue;
         const box<T> b = {everywhere(boxes.template get3<real>(0, p)),
                           everywhere(boxes.template get3<real>(3, p))};
+        const bool folded = cell_is_folded(model, boxes, p);
         for (int q0 = (p + 1) / width * width; q0 < model.end; q0 += width) {
             const box<T> others = {boxes.template get3<T>(0, q0), boxes.template get3<T>(3, q0)};
             const T is_near = is_above(limit, gap_between(b, others));
@@ -394,7 +427,7 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
             for (int l = 0; l < width; ++l) {
                 const int q = q0 + l;
                 if (((const real*)&is_near)[l] == real(0) || q <= p || q >= model.end ||
-                    is_neighbour(model, s, p, q))
+                    is_neighbour(model, p, q, folded))
                     continue;
                 int one, other;
                 for (int k = 0; k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS); ++k)

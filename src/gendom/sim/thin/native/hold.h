@@ -29,16 +29,36 @@ CUDA_CALLABLE inline void lead(int holds, const vec<real>& centre, const quat<re
     }
 }
 
+#if defined(__CUDA_ARCH__)
+#define SHARED __shared__
+#else
+#define SHARED static
+#endif
+
+// Where a gripper is. Of the next steps these are in shared memory on CUDA; CPUs only read that code.
+template <typename real> struct pose { vec<real> centre; quat<real> by; };
+constexpr int poses = 64;
+
+template <typename real> CUDA_CALLABLE inline pose<real>& pose_of(int index) {
+    SHARED pose<real> of[poses];
+    return of[index];
+}
+template <typename real>
+CUDA_CALLABLE inline pose<real> to_pose(const wp::vec_t<3, real>& c, const wp::quat_t<real>& q) {
+    return {{c[0], c[1], c[2]}, {{q.x, q.y, q.z}, q.w}};
+}
+template <typename real>
+CUDA_CALLABLE inline void put_pose(int index, const wp::vec_t<3, real>& c, const wp::quat_t<real>& q) {
+    pose_of<real>(index) = to_pose(c, q);
+}
+
 // At the end of a step, by a gripper's pose.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void hold(const Model& model, int w, int g, const wp::vec_t<3, real>& centre,
-                               const wp::quat_t<real>& turned, const wp::array_t<real>& state,
-                               int next) {
+CUDA_CALLABLE inline void hold(const Model& model, int w, int g, const pose<real>& at,
+                               const wp::array_t<real>& state, int next) {
     const rows_of<real> to(state, next), place(model.place, w * model.holds.shape[1] + g);
-    const vec<real> at = {centre[0], centre[1], centre[2]};
-    const quat<real> by = {{turned.x, turned.y, turned.z}, turned.w};
     for (EACH_ONE(i, model.points))
-        lead(wp::index(model.holds, w, g, i), at, by, place, to, wp::index(model.slot, i) - margin);
+        lead(wp::index(model.holds, w, g, i), at.centre, at.by, place, to, wp::index(model.slot, i) - margin);
 }
 
 // Its transpose: to the gripper's pose (six numbers) and to where things stand in it. One thread.

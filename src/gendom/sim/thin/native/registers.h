@@ -1,21 +1,18 @@
 // A rod without contact with itself whose state is in the registers of a CUDA warp: K points a thread, and what
-// neighbours share goes from thread to thread. What stays as it is, and where grippers are next, is in shared memory.
+// neighbours share goes from thread to thread. What stays as it is is in shared memory.
 // CPUs only read this file.
 
 namespace gendom {
 
 #if defined(__CUDA_ARCH__)
-#define SHARED __shared__
 #define LANE int(threadIdx.x)
 #define FROM_LANE(other, value) __shfl_sync(0xffffffffu, value, (other) & 31)
 #else
-#define SHARED static
 #define LANE 0
 #define FROM_LANE(other, value) value
 #endif
 
 constexpr int state_rows = 19, scratch_rows = 12, model_rows = 17;
-constexpr int poses = 64;  // of all grippers in the next steps
 
 // Components of this thread's points, from `first` on, and of their neighbours. Beyond the rod's ends are points,
 // edges and joints without mass or stiffness; the last one's neighbour is the first.
@@ -52,18 +49,6 @@ template <typename real, int K> CUDA_CALLABLE inline rows_of<real> fixed_rows(in
     SHARED real of[model_rows * 32 * K];
     return {of + c * 32 * K, 32 * K};
 }
-// Where a gripper will be.
-template <typename real> struct pose { vec<real> centre; quat<real> by; };
-
-template <typename real> CUDA_CALLABLE inline pose<real>& pose_of(int index) {
-    SHARED pose<real> of[poses];
-    return of[index];
-}
-template <typename real>
-CUDA_CALLABLE inline void put_pose(int index, const wp::vec_t<3, real>& c, const wp::quat_t<real>& q) {
-    pose_of<real>(index) = {{c[0], c[1], c[2]}, {{q.x, q.y, q.z}, q.w}};
-}
-
 // Begins some steps from a row of the state. Returns what each point is held by: 2 bits for each gripper of those
 // that are `closed`, a bit each.
 template <typename Model, unsigned N, typename real>

@@ -23,7 +23,7 @@ enum { LAG_ROW = 6, LAG_COLUMN = 8, LAG_SHEAR = 10, LAG_BEND = 11 };
 enum { NEXT = 0, BELOW = 1, CELL = 2 };
 enum { C11 = 0, C22 = 1, C12 = 2, G12 = 3, BXX = 4, BYY = 5, BXY = 6, TWIST = 7 };
 enum { POINT_PER_MASS = 0, POINT_DRAG = 1, STIFFER_X = 2, STIFFER_Y = 3 };
-enum { F_BOTTOM = 0, F_TOP = 3, F_LEFT = 6, F_RIGHT = 9, M_XX = 12, M_YY = 15, M_XY = 18, NORMAL = 21 };
+enum { F_A = 0, F_B = 3, F_C = 6, M_XX = 9, M_YY = 12, M_XY = 15, NORMAL = 18 };
 
 // Strains of a cell, and what stress makes of them.
 template <typename T> struct shell_cell {
@@ -133,7 +133,7 @@ template <typename T> struct bend_stiffness {
     }
 };
 
-// Forces of edges and moments of points in the scratch; the lagged strains go on. Returns the largest
+// Forces of cells on three of their corners and moments of points in the scratch; the lagged strains go on. Returns the largest
 // squared stretch, not a number if any is not.
 template <typename Model, typename real>
 CUDA_CALLABLE inline real shell_forces(const Model& model, int w, const wp::array_t<real>& state,
@@ -168,8 +168,8 @@ CUDA_CALLABLE inline real shell_forces(const Model& model, int w, const wp::arra
         C.stress(row_e, column_e, shear_e, of_row, of_column, of_shear);
         vec<T> by_u[2], by_v[2];
         cell.edges(of_row, of_column, of_shear, by_u, by_v);
-        out.put3(F_BOTTOM, p, by_u[0]), out.put3(F_TOP, p, by_u[1]);
-        out.put3(F_LEFT, p, by_v[0]), out.put3(F_RIGHT, p, by_v[1]);
+        out.put3(F_A, p, by_u[0] + by_v[0]), out.put3(F_B, p, by_v[1] - by_u[0]);
+        out.put3(F_C, p, by_u[1] - by_v[0]);
 
         const shell_bend<T> bend(s, shape, p, pitch);
         const bend_stiffness<T> B(k, m, p);
@@ -186,12 +186,12 @@ CUDA_CALLABLE inline real shell_forces(const Model& model, int w, const wp::arra
 }
 
 // Mean of how much edges along rows, or along columns, are stretched or compressed, the larger one;
-// every thread finds it.
+// every warp finds it.
 template <typename Model, typename real>
 CUDA_CALLABLE inline real shell_stretch(const Model& model, const wp::array_t<real>& state, int row) {
     const rows_of<real> s(state, row), shape(model.rest, 0);
     real sum[2] = {real(0), real(0)}, count[2] = {real(0), real(0)};
-    for (int p = model.first; p < model.end; ++p) {
+    for (EACH_OF_WARP(p, model.first, model.end)) {
         for (int k = 0; k < 2; ++k) {
             const real exists = shape.template get<real>(k == 0 ? NEXT : BELOW, p);
             if (exists == real(0)) continue;
@@ -202,7 +202,8 @@ CUDA_CALLABLE inline real shell_stretch(const Model& model, const wp::array_t<re
             count[k] += real(1);
         }
     }
-    return larger(sum[0] / count[0], sum[1] / count[1]);
+    const real rows = warp_sum(sum[0]) / warp_sum(count[0]), columns = warp_sum(sum[1]) / warp_sum(count[1]);
+    return larger(rows, columns);
 }
 
 // What edges and moments of the scratch add up to at a point: minus the derivative of the energy.
@@ -211,9 +212,10 @@ CUDA_CALLABLE inline vec<T> shell_pull(const Rows& in, const Rows& shape, int p,
     typedef typename number_of<T>::type real;
     const int last = p - 1, above = p - pitch, corner = p - pitch - 1;
     const auto at = [&](int c, int q) { return in.template get3<T>(c, q); };
-    // a point is a of its own cell, b of the one before, c of the one above, d of that before above
-    const vec<T> pull = at(F_BOTTOM, p) + at(F_LEFT, p) - at(F_BOTTOM, last) + at(F_RIGHT, last) +
-                        at(F_TOP, above) - at(F_LEFT, above) - at(F_TOP, corner) - at(F_RIGHT, corner);
+    // a point is a of its own cell, b of the one before, c of the one above, d of that before above; a cell pulls d
+    // as much as it pulls the others back
+    const vec<T> pull = at(F_A, p) + at(F_B, last) + at(F_C, above) - at(F_A, corner) - at(F_B, corner) -
+                        at(F_C, corner);
     const vec<T> xx = at(M_XX, p), yy = at(M_YY, p), two_xx = xx + xx, two_yy = yy + yy;
     const vec<T> bent = at(M_XX, last) - two_xx + at(M_XX, p + 1) + at(M_YY, above) - two_yy +
                         at(M_YY, p + pitch) + at(M_XY, p) - at(M_XY, last) - at(M_XY, above) +
