@@ -321,21 +321,21 @@ def _measured(
         beliefs: [W] of each one's rope.
         actions: [W, A] of policies, by row.
     """
-    cases, seed, sim = rows.cases, rows.runs.seed, Simulation(device=rows.runs.device)
+    cases, sim = rows.cases, Simulation(device=rows.runs.device)
 
     def acted(name: str) -> tuple[Array, Array]:
         return rows.acted(name, lambda: np.array(actions[name]))
 
     done = {name: acted(name) for name in actions}
     ours, reached = done["ours"]
-    action, there = rows.acted("polished", partial(polished, cases, beliefs, ours, sim, seed=seed))
+    action, there = rows.acted("polished", partial(polished, cases, beliefs, ours, sim))
     seen: list[list[Execution]] = [[] for _ in cases.items]
     for k in range(1, rows.settings.executions + 1):
         for w, (a, y) in enumerate(zip(action, there, strict=True)):
             if np.isfinite(y).all():
                 seen[w].append(Execution(action=a, reached=y))
         name = f"polished, {k} execution{'s' * (k > 1)}"
-        act = partial(adapted, cases, beliefs, seen, action, sim, seed=seed)
+        act = partial(adapted, cases, beliefs, seen, action, sim)
         action, there = rows.acted(name, act)
     assumed = [
         believed(Estimate.of(_middling(rope)), cases.task).with_uncertain(
@@ -344,7 +344,7 @@ def _measured(
         for rope in cases.items
     ]
     blind, _ = done["ours, no parameters"]
-    without = partial(polished, cases, assumed, blind, sim, seed=seed)
+    without = partial(polished, cases, assumed, blind, sim)
     rows.acted("polished, no lift", without)
     true, _ = done["ours, true parameters"]
     here = replace(rows, title=f"{rows.title}-simulated", errors={})

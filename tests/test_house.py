@@ -15,7 +15,7 @@ SOURCES = Path(gendom.__file__).parent
 
 FLOORS = (
     ("arrays", "errors", "shown", "lazy", "environments", "plugins", "installation", "progress",
-     "arguments", "files", "reading"),
+     "arguments", "files", "reading", "streams"),
     ("materials", "observation", "robot"),
     ("sim", "datasets"),
     ("tasks", "perception"),

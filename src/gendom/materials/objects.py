@@ -24,9 +24,9 @@ from gendom.errors import ParameterError
 from gendom.materials.names import with_current_names
 from gendom.materials.parameters import (
     FIELDS,
+    Columnar,
     E_over_rho_of,
     Material,
-    Rows,
     bending_length,
     material_of,
     parameters_of,
@@ -264,7 +264,7 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
     return items_from_columns(kind, {name: [x] for name, x in columns.items()})[0]
 
 
-class Items(Rows[Item]):
+class Items(Columnar[Item]):
     """N objects of one kind as columns [N]: sizes, friction and parameters of the materials."""
 
     def __init__(self, kind: str, columns: Mapping[str, Array]):
@@ -280,8 +280,8 @@ class Items(Rows[Item]):
         return cls(items[0].kind, {**own, **parameters_of([item.material for item in items])})
 
     @property
-    def materials(self) -> Rows[Material]:
-        return Rows({name: self.columns[name] for name in FIELDS}, material_of)
+    def materials(self) -> Columnar[Material]:
+        return Columnar({name: self.columns[name] for name in FIELDS}, material_of)
 
     def _made(self, row: dict[str, float]) -> Item:
         of = {name: row[name] for name in _own(self.kind)}

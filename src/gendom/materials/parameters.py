@@ -98,7 +98,7 @@ class Material:
         return math.sqrt(stiffness / self.density)
 
 
-class Rows(Sequence[T]):
+class Columnar(Sequence[T]):
     """N things as columns [N] by name; one is made of its numbers when it is looked at."""
 
     def __init__(self, columns: Mapping[str, Array], make: Callable[[dict[str, float]], T]):
@@ -121,7 +121,7 @@ class Rows(Sequence[T]):
 
 def parameters_of(materials: Sequence[Material]) -> Mapping[str, Array]:
     """[W] parameters of W materials by name; a ``membrane`` that is not a number is that of E."""
-    if isinstance(materials, Rows):
+    if isinstance(materials, Columnar):
         return materials.columns
     of = np.array(list(map(attrgetter(*FIELDS), materials)), dtype=float).reshape(-1, len(FIELDS))
     return dict(zip(FIELDS, of.T, strict=True))

@@ -19,7 +19,7 @@ from gendom.arguments import (
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.materials.parameters import WEAVE, Rows, parameters_of
+from gendom.materials.parameters import WEAVE, Columnar, parameters_of
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
@@ -80,7 +80,7 @@ class Simulator(Shown):
         start_time: float = 0.0,
     ):
         check_type("body", body, Body)
-        if not isinstance(materials, Rows):
+        if not isinstance(materials, Columnar):
             check_list("materials", materials, Material)
         check_type("table", table, Table, optional=True)
         check_type("physics", physics, Physics)
@@ -99,7 +99,7 @@ class Simulator(Shown):
         centres = x.reshape(*x.shape[:-2], -1, section, 3).mean(axis=-2)
         check_clear(body, centres, START_INSIDE * unit, table, every, start_time)
         self.body = body
-        self.materials = materials if isinstance(materials, Rows) else tuple(materials)
+        self.materials = materials if isinstance(materials, Columnar) else tuple(materials)
         self.time = start_time
         self.dtype = solver.dtype or ("float64" if thin else "float32")
         self.device = open_device(solver.device)
