@@ -137,9 +137,9 @@ def test_how_much_curvature_is_natural_is_found(rope_lift, kind, bends, share):
     assert found.theta.E_over_rho == pytest.approx(truth.E_over_rho, rel=0.06)
     low, high = found.record["intervals"]["E_over_rho"]
     assert low < truth.E_over_rho < high
-    # what the diameter's 5 % are no part of
+    # what the diameter's 5 % are no part of, but a tip that clouds do not tell is
     low, high = found.interval("bending_length") or (0.0, 1.0)
-    assert high < 1.07 * low
+    assert high < 1.11 * low
 
 
 def test_a_stated_share_is_not_looked_for(rope_lift):

@@ -181,7 +181,7 @@ def test_a_limp_cloth_is_followed_until_it_buckles(
     assert len(scene.frames) == 6
     seen = SimpleNamespace(parts=[SimpleNamespace(rms_by_frame=lambda: list(off))])
     monkeypatch.setattr(problem, "compare", lambda vectors, derivatives: [seen])
-    theta = replace(cloth_lift.truth, E_over_rho=scene.E_over_rho(bends))
+    theta = cloth_lift.truth.with_values({"E_over_rho": scene.E_over_rho(bends)})
     found = problem.followed(problem.prior.vector(theta)).scene
     assert found.frames == scene.frames[:kept]
     assert ("buckled" in " ".join(found.notes)) == (kept < 6)

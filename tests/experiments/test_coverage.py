@@ -114,8 +114,8 @@ def test_lifts_of_the_shipped_calibration_are_refused(table):
     assert "calibrated on the ropes of seeds 8000 to 8038" in error
     check_unseen(Lifts(), range(200, 400))
     check_unseen(Lifts(wide=True), range(40))  # others of the same seeds
-    with pytest.raises(GendomError, match="cloths of seeds 800 to 829"):
-        check_unseen(Lifts(kind="cloth", end="swing"), range(40, 1000))
+    with pytest.raises(GendomError, match="cloths of seeds 1000 to 1014"):
+        check_unseen(Lifts(kind="cloth", end="swing"), range(40, 1001))
 
 
 def test_recordings_of_others_are_read_with_their_truths(rope_lift, tmp_path, table):
