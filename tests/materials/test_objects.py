@@ -279,6 +279,4 @@ def test_the_command(capsys, refused):
 
 
 def test_what_is_known_exactly_is_drawn_alike():
-    material = Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
-    rope = Rope(length=0.3, diameter=0.016, material=material, friction=0.4)
-    assert Estimate.of(rope).draws(3, seed=0) == [rope] * 3
+    assert Estimate.of(ROPE).draws(3, seed=0) == [ROPE] * 3
