@@ -11,12 +11,7 @@ from gendom.materials import STANDARD_GRAVITY, size_of, unit_of
 from gendom.reality import RealWorld
 from gendom.tasks import ClothDragging, ClothSpreading, RopeReaching
 from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
-from gendom.tasks.cloth_spreading import (
-    CLOTH,
-    lattice_triangles,
-    spread_areas,
-    step_shares,
-)
+from gendom.tasks.cloth_spreading import CLOTH, lattice_triangles, spread_areas, step_shares
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
