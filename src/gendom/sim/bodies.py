@@ -321,7 +321,7 @@ def _check_many(count: float, fix: str) -> None:
 
 def neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     """[N, 3, 2] indices of each particle's neighbours, from lattice cells [N, 3]."""
-    number = np.full(cells.max(axis=0, initial=0) + 3, -1)
+    number = np.full(cells.max(axis=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))
     found = np.empty((len(cells), 3, 2), dtype=np.int32)
     for axis in range(3):
