@@ -15,7 +15,7 @@ def surface_transpose(body: Body, x: Array, bar: Array) -> Array:
     """Derivative of a loss with respect to positions, given that with respect to the surface.
 
     Args:
-        body: A rope, or a cloth without an outline.
+        body: A rope or a cloth.
         x: [..., N, 3] particles, or the thin engine's points [m].
         bar: [..., M, 3] derivative of the loss with respect to ``body.surface(x)`` [1/m].
 

@@ -12,9 +12,9 @@ from gendom.perception.realsense import realsense_sdk
 
 
 class SoftwareCamera:
-    """A device of the SDK with the geometry of a `Camera`; colour is `beside` it by metres."""
+    """A device of the SDK with the geometry of a `Camera`."""
 
-    def __init__(self, camera, *, coloured=True, rate=30, beside=0.0):
+    def __init__(self, camera):
         self.sdk = sdk = realsense_sdk()
         self.camera = camera
         self.domain = sdk.timestamp_domain.global_time
@@ -22,22 +22,22 @@ class SoftwareCamera:
         self.device.register_info(sdk.camera_info.name, "Software D435I")
         self.device.register_info(sdk.camera_info.serial_number, camera.name)
         self.sensors, self.profiles = [], []
-        kinds = [("Stereo Module", sdk.stream.depth, sdk.format.z16, 2)]
-        if coloured:
-            kinds.append(("RGB Camera", sdk.stream.color, sdk.format.rgb8, 3))
+        kinds = (
+            ("Stereo Module", sdk.stream.depth, sdk.format.z16, 2),
+            ("RGB Camera", sdk.stream.color, sdk.format.rgb8, 3),
+        )
         for uid, (name, kind, form, size) in enumerate(kinds, start=1):
             stream = sdk.video_stream()
             stream.type, stream.fmt, stream.bpp, stream.uid = kind, form, size, uid
-            stream.index, stream.fps = 0, rate
+            stream.index, stream.fps = 0, 30
             stream.width, stream.height = camera.width, camera.height
             stream.intrinsics = self._intrinsics()
             self.sensors.append(self.device.add_sensor(name))
             self.profiles.append(self.sensors[-1].add_video_stream(stream))
         self.sensors[0].add_read_only_option(sdk.option.depth_units, camera.depth_unit)
-        if coloured:
-            apart = sdk.extrinsics()
-            apart.rotation, apart.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [beside, 0, 0]
-            self.profiles[0].register_extrinsics_to(self.profiles[1], apart)
+        apart = sdk.extrinsics()
+        apart.rotation, apart.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0]
+        self.profiles[0].register_extrinsics_to(self.profiles[1], apart)
 
     def _intrinsics(self):
         camera, K = self.camera, self.camera.K
@@ -49,9 +49,9 @@ class SoftwareCamera:
         return found
 
     def show(self, time, number, pictures):
-        """Send depth, and colour if there is one, of a time [s]."""
+        """Send depth and colour of a time [s]."""
         arrays = (pictures.depth, pictures.colour)
-        for sensor, profile, array in zip(self.sensors, self.profiles, arrays, strict=False):
+        for sensor, profile, array in zip(self.sensors, self.profiles, arrays, strict=True):
             frame = self.sdk.software_video_frame()
             frame.pixels = np.ascontiguousarray(array)
             frame.bpp = array.itemsize * (array.shape[2] if array.ndim == 3 else 1)
@@ -76,11 +76,10 @@ def connected(software, **settings):
 
 
 @contextmanager
-def recording(folder, camera, *, coloured=True, compress=True):
+def recording(folder, camera, *, compress=True):
     """Gives a function (time [s], pictures) that writes a frame of folder/recording.db3."""
-    software = SoftwareCamera(camera, coloured=coloured)
-    kinds = ("depth", "color") if coloured else ("depth",)
-    live = connected(software, kinds=kinds, compress=compress)
+    software = SoftwareCamera(camera)
+    live = connected(software, compress=compress)
     live.start_recording(folder)
     count = 0
 

@@ -89,11 +89,11 @@ def membrane_energy(s: Simulator) -> float:
     """Of a shell, world 0 [J], from the lattice's edges as ``native/shell.h`` says."""
     e: Any = s.engine
     ny, nx = e.model.shape
-    x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
+    x = s.positions()[0].astype(float).reshape(ny, nx, 3)
     lx, ly = e.model.spacing
     u, v = np.diff(x, axis=1), np.diff(x, axis=0)
     rows, columns = (np.sum(u**2, 2) / lx**2 - 1) / 2, (np.sum(v**2, 2) / ly**2 - 1) / 2
-    k = e.model.on_lattice(e.model.stiffness[0])[:, :-1, :-1]
+    k = e.model.stiffness[0].reshape(8, ny, nx)[:, :-1, :-1]
     F = np.sum((u[1:] + u[:-1]) * (v[:, 1:] + v[:, :-1]), axis=2) / 4
     free = np.sum((u[1:] - u[:-1]) ** 2, axis=2) / 4
     total = 0.5 * np.sum(k[3] * ((F - np.clip(F, -free, free)) / (2 * lx * ly)) ** 2)
@@ -106,12 +106,13 @@ def membrane_energy(s: Simulator) -> float:
 def bending_energy(s: Simulator) -> float:
     """Of a shell, world 0 [J]."""
     e: Any = s.engine
-    x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
-    k = e.model.on_lattice(e.model.stiffness[0])
+    shape = e.model.shape
+    x = s.positions()[0].astype(float).reshape(*shape, 3)
+    k = e.model.stiffness[0].reshape(8, *shape)
     xx, yy = np.zeros_like(x), np.zeros_like(x)
     xx[:, 1:-1], yy[1:-1] = np.diff(x, 2, axis=1), np.diff(x, 2, axis=0)
     xy = np.diff(np.diff(x, axis=0), axis=1)
-    at_grips = e.model.on_lattice(e.stiffer[0].prod(axis=0))
+    at_grips = e.stiffer[0].prod(axis=0).reshape(2, *shape)
     total = np.sum(at_grips[0] * k[4] * np.sum(xx**2, 2) + at_grips[1] * k[5] * np.sum(yy**2, 2))
     total += np.sum(2 * k[6] * np.sum(xx * yy, 2)) + np.sum(k[7, :-1, :-1] * np.sum(xy**2, 2))
     return 0.5 * float(total)

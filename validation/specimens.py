@@ -64,13 +64,6 @@ def clamped_strip(
     return body, clamp_beyond(-np.eye(3)[axis])
 
 
-def circle(radius: float, sides: int = 256) -> Array:
-    """[sides, 2] a regular polygon with a circle's area [m]."""
-    angle = 2.0 * math.pi * np.arange(sides) / sides
-    area = 0.5 * sides * math.sin(2.0 * math.pi / sides)
-    return radius * math.sqrt(math.pi / area) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
 def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
     """A solid block of edges ``size`` [3] in cells of ``dx`` [m], its particles half a cell apart
     and half of that from its faces."""

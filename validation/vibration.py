@@ -1,4 +1,4 @@
-"""Ropes, strips and discs that vibrate, and what damps them."""
+"""Ropes and strips that vibrate, and what damps them."""
 
 import math
 from collections.abc import Iterator
@@ -9,8 +9,7 @@ import numpy as np
 from scipy.special import j0, jn_zeros
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, Gripper, cloth, rope
-from gendom.sim.thin.engine import ThinEngine
+from gendom.sim import GRAVITY, Gripper, rope
 from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, relative, vanishing
 from validation.readings import swing
 from validation.references import (
@@ -20,7 +19,7 @@ from validation.references import (
     lowest_frequency,
     round_frequency,
 )
-from validation.specimens import across, circle, clamp_beyond, clamped_strip, end, particle_rope
+from validation.specimens import across, clamp_beyond, clamped_strip, end, particle_rope
 
 OWN_RANGE = {1.5: (0.08, 0.16), 2.0: (0.05, 0.11), 3.0: (0.0, 0.03)}
 """By cells across: between what the time of the viscosity that stands for the grid's own damping
@@ -155,26 +154,3 @@ def hanging(bench: Bench) -> Iterator[Row]:
     )
     name = f"period with bending stiffness and stretch, {size}"
     yield relative(name, "s", 2.0 * math.pi / stiff, period, 0.01, source)
-
-
-@case("shell-discs", "discs cut out of a lattice", "thin")
-def discs(bench: Bench) -> Iterator[Row]:
-    """A disc in space that swings between two saddles, in its first mode."""
-    R, h, material = 0.1, 0.002, Material(E=2.0e7, nu=0.3, density=1000.0)
-    D = material.E * h**3 / (12.0 * (1.0 - material.nu**2))
-    omega = 5.3583 * math.sqrt(D / (material.density * h)) / R**2
-    for points, allowed in ((15, 0.10), (28, 0.03), (45, 0.03)):
-        if bench.quick and points > 40:
-            continue
-        body = cloth(outline=[circle(R)], thickness=h, dx=0.02, points=(points, points))
-        s = bench.simulate(body, [material], gravity=WEIGHTLESS)
-        assert isinstance(s.engine, ThinEngine)
-        saddle = (body.points[:, 0] ** 2 - body.points[:, 1] ** 2) / R**2
-        s.set_velocities(np.outer(0.01 * h * omega * saddle, (0.0, 0.0, 1.0)))
-        t = np.linspace(0.2, 2.2, 61) * 2.0 * math.pi / omega
-        z = s.run(t)[:, 0, :, 2] @ (s.engine.model.mass[0] * saddle)
-        found, _ = swing(t, z / np.abs(z).max(), omega)
-        hertz = (omega / (2.0 * math.pi), found / (2.0 * math.pi))
-        name = f"frequency of a free disc, {points} points across"
-        source = "5.358 sqrt(D / (rho h)) / R^2, nu 0.3 (Leissa 1969, Vibration of Plates, t. 2.5)"
-        yield relative(name, "Hz", *hertz, allowed, source)

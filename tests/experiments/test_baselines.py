@@ -21,13 +21,11 @@ from experiments.sim2sim import (
     sim2sim_recording,
     truth_of,
 )
-from experiments.skins import surface_transpose
 from gendom.errors import ParameterError
 from gendom.estimation import METHODS, estimate
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.problem import Start
 from gendom.estimation.scene import LiftScene
-from gendom.sim import rope
 
 E, NU = 4000.0, 0.3
 """E in the paper's units, and nu."""
@@ -78,7 +76,8 @@ def test_a_method_brings_back_the_modulus(short_lift, method, off, iterations):
      ("thin", True, "grip_height")],
 )  # fmt: skip
 def test_gradients_are_central_differences(short_lift, engine, markers, other):
-    """That by the grip's height, which has no reverse mode, is a difference itself."""
+    """Of markers, and of skins of rods and of particles. That by the grip's height, which has no
+    reverse mode, is a difference itself."""
     problem = short_lift(engine, markers)
     settings = replace(problem.settings, unknowns=("E_over_rho", other))
     problem = type(problem)([problem.scene], settings, known=problem.bases[0])
@@ -222,17 +221,3 @@ def test_a_grid_around_points_holds_them():
     corners = np.array([p.min(axis=0) - 0.07, p.max(axis=0) + 0.07])
     assert max(grid.shape) == 24 and grid.splat(corners).sum() == pytest.approx(1.0, abs=1e-9)
     assert grid.cell == pytest.approx(np.ptp(corners, axis=0).max() / 21.0)
-
-
-@pytest.mark.parametrize("particles", [False, True])
-def test_surface_transpose_of_a_rope(particles):
-    """<bar, d skin> = <transpose bar, d x> for a bent rope, as a rod and as particles."""
-    rng = np.random.default_rng(0)
-    body = rope(diameter=0.02, length=0.3, direction=(1, 2, 0.3), cells_across=1.0, points=9)
-    x = (body.x if particles else body.points) + 0.003 * rng.normal(
-        size=(2, body.num_particles if particles else 9, 3)
-    )
-    bar, v, h = rng.normal(size=body.surface(x).shape), rng.normal(size=x.shape), 1e-7
-    ahead, behind = (body.surface(x + s * h * v) for s in (1.0, -1.0))
-    expected = ((ahead - behind) * bar).sum() / (2.0 * h)
-    assert (surface_transpose(body, x, bar) * v).sum() == pytest.approx(expected, rel=1e-6)

@@ -26,7 +26,6 @@ from gendom.hardware.contracts import Tick
 from gendom.hardware.execution import ACTION_FORMAT, ExecutionLog, read_action, read_log
 from gendom.materials import Material, Rope
 from gendom.materials.estimate import Estimate
-from gendom.materials.posterior import Posterior, prior_of
 from gendom.perception import Camera, RealSenseRecording, read_cameras, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.poses import read_poses
@@ -174,9 +173,7 @@ LOOPS = np.linspace([0.0, 0.0, 0.2], [0.3, 0.0, 0.2], 8)[None] + np.zeros((2, 8,
 def estimate(folder):
     material = Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
     rope = Rope(length=0.3, diameter=0.016, material=material)
-    prior, mean = prior_of(("E_over_rho", "nu")), np.array([np.log(1000.0), 0.3])
-    found = Posterior(prior=prior, mean=mean, covariance=np.diag([1e-3, 1e-4]), bases=())
-    Estimate.of(rope, found.to_dict()).save(folder / "estimate.json")
+    Estimate.of(rope).with_uncertain("E_over_rho", 0.03).save(folder / "estimate.json")
 
 
 def files(**contents):

@@ -146,9 +146,7 @@ def test_impossible_objects_and_other_units_are_refused(change, says):
 @pytest.fixture(scope="module")
 def found():
     rope = Rope(length=0.4, diameter=0.01, material=Material(E=8e5, nu=0.3, density=800.0))
-    mean, covariance = [math.log(1000.0), 0.3], np.diag([1e-3, 1e-4]).tolist()
-    names = ["E_over_rho", "nu"]
-    return Estimate.of(rope, {"names": names, "mean": mean, "covariance": covariance})
+    return Estimate.of(rope).with_uncertain("E_over_rho", 0.03).with_uncertain("nu", 0.01)
 
 
 def places(value, at=()):
@@ -279,6 +277,4 @@ def test_the_command(capsys, refused):
 
 
 def test_what_is_known_exactly_is_drawn_alike():
-    material = Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
-    rope = Rope(length=0.3, diameter=0.016, material=material, friction=0.4)
-    assert Estimate.of(rope).draws(3, seed=0) == [rope] * 3
+    assert Estimate.of(ROPE).draws(3, seed=0) == [ROPE] * 3

@@ -145,8 +145,6 @@ REFUSED = [
     (text("cameras/right/frames.csv", late), "within 0.02 s (left 0 to 0.133333 s, right 5 | one "),
     (put(PATH, f"{ROWS}100,0,0,0.2\n101,0,0,0.3\n"), "path is at other times, 100 to 101 s, than"),
     (put(PATH, f"{ROWS}1,0,0,0\n0,0,0,0\n"), "gripper.csv: its times do not increase"),
-    (put(PATH, ROWS), "gripper.csv | no rows"),
-    (edit(PATH, "0.23\n", "\n"), "gripper.csv, line 5"),
     (without_colour, "has no colour pictures"),
     (
         lambda folder: [p.write_bytes(b"") for p in folder.glob("cameras/left/depth/*")],

@@ -118,11 +118,7 @@ def test_simulated_cast_is_polished_to_a_tenth_of_a_millimetre():
     goal = [there.values["x"], there.values["z"]]
     m = ROPE.material
     wrong = replace(ROPE, material=replace(m, E=1.02 * m.E, damping=2.5 * m.damping))
-    doubted = Estimate.of(wrong, {
-        "names": ["E_over_rho", "damping"],
-        "mean": [math.log(wrong.material.E_over_rho), math.log(wrong.material.damping)],
-        "covariance": [[0.03**2, 0.0], [0.0, 0.9**2]],
-    })  # fmt: skip
+    doubted = Estimate.of(wrong).with_uncertain("E_over_rho", 0.03).with_uncertain("damping", 0.9)
     taken = {}
     for name, belief in {"exact": Estimate.of(wrong), "doubted": doubted}.items():
         action = polish(task, goal, belief, [0.14], world=world).action

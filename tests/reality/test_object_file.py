@@ -72,7 +72,6 @@ def test_a_thick_rope_s_points_do_not_touch(found):
         ({"weight": "1"}, "weight means nothing"),
         ({"material": '"nylon-rop"'}, "no material 'nylon-rop'; did you mean 'nylon-rope'"),
         ({"material": '"denim"'}, "mine.toml: denim is a cloth, and kind is 'rope'"),
-        ({"outline": "[[0, 0], [1, 0], [0, 1]]"}, r"without outline; gendom.sim.cloth\(outline="),
     ],
 )
 def test_what_is_missing_or_impossible_is_named(found, change, says):

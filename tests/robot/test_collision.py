@@ -5,12 +5,10 @@ import pytest
 
 from gendom.errors import RobotError
 from gendom.robot import (
-    DOWN,
     XARM7,
     CollisionChecker,
     Post,
     Surroundings,
-    TcpPath,
     follow,
     joint_move,
     lift,
@@ -45,19 +43,6 @@ def test_home_is_free_and_a_folded_arm_is_not():
 
 
 # ---- motions -------------------------------------------------------------------------------------
-
-
-def test_a_path_into_the_table_is_refused_with_what_when_and_how_deep():
-    down = TcpPath(
-        time=np.array([0.0, 1.0]),
-        position=np.array([[0.45, 0.0, 0.1], [0.45, 0.0, -0.02]]),
-        quat_xyzw=np.array(DOWN),
-    )
-    follow(XARM7, down)
-    # 1.4 mm below the tool point, at 0.12 m/s from 0.1 m: at 0.822 s.
-    words = r"xarm7: from t = 0\.82\d s on .* pad .* and table are 2\d\.\d mm too near"
-    with pytest.raises(RobotError, match=words):
-        follow(XARM7, down, surroundings=TABLE)
 
 
 def test_nothing_slips_through_between_two_looks():

@@ -249,14 +249,6 @@ def test_lift_is_vertical_at_constant_speed_once_the_gripper_is_closed():
     assert motion.closed_at(0.0) is True
     np.testing.assert_allclose(motion.speed_at(0.0), 0.0, atol=1e-3)
     assert 0.0 < motion.deviation < 1e-3
-    # a drop opens the gripper at rest
-    path = lift([0.4, 0.0, 0.0], height=0.2, speed=0.1, wait=0.5, end="drop", after=0.7)
-    closes, opens = path.events
-    assert (closes.time, closes.closed) == (0.0, True)
-    assert (opens.time, opens.closed) == (pytest.approx(3.0), False)
-    assert path.end == pytest.approx(3.7)
-    motion = follow(XARM7, path)
-    np.testing.assert_allclose(motion.speed_at([2.9, 3.0, 3.5]), 0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("height", [0.12, 0.375])

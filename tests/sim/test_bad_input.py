@@ -137,8 +137,6 @@ def test_a_wrong_argument_is_named(make, given, name, value):
 
 SHEET: dict[str, Any] = {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}
 BLOCK = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
-SQUARE = [(0, 0), (0.2, 0), (0.2, 0.2), (0, 0.2)]
-SMALL = 0.2 * np.array(SQUARE) + 0.08
 LINE = rope(diameter=0.01, length=0.2, start=(-0.1, 0.0, 0.1), points=21)
 MEETS: dict[str, Any] = {"body": LINE, "materials": [MATERIAL]}
 BALL = Sphere(radius=0.03, position=[0.0, 0.0, 0.05])
@@ -167,23 +165,6 @@ UNFIT = [
                 r"world 1 \(E 1e\+30 Pa.*substep would be .*e-1[67] s, the shortest is"),
             ({"substep": 1e-30}, "substep"),
         )],
-    # outlines of cloths
-    *[(cloth, {"outline": outline, "thickness": 0.002, "dx": 0.02}, words) for outline, words in (
-        ([(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.1)],
-            r"outline, near \(0, 0.1\) m: crosses or touches itself"),
-        ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
-        ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
-        ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
-        ([(0, 0), (0.2, 0), (0.1, nan)], "holds numbers that are not finite"),
-        ([SQUARE, SMALL + 0.5], "hole 1: is not inside of the outline"),
-        ([SQUARE, SMALL + 0.1], "outline, near .* crosses or touches hole 1"),
-        ([SQUARE, SMALL, 0.5 * SMALL + 0.05], "hole 2: is inside of hole 1"),
-        ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
-        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
-    )],
-    (cloth, {"outline": SQUARE, "width": 0.3, "thickness": 0.002, "dx": 0.02},
-        r"width is 0.3 m, and the outline's is 0.2 m"),
-    (cloth, {"width": 0.3, "thickness": 0.002, "dx": 0.02}, "needs its width and height"),
     # what another body or engine has
     *[(flat_simulator, {"body": body, "engine": kind, "materials": [MATERIAL], **given}, words)
         for body, kind, given, words in (

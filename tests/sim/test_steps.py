@@ -143,11 +143,3 @@ def test_what_does_not_fit_is_refused(targets, message):
         with pytest.raises(ParameterError, match=words):
             call()
     assert len(motion_of(particles).layers) == 2  # its gripper is drawn all the same
-
-
-def test_paths_are_straight_between_knots_and_still_beyond():
-    places = [[0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [1.0, 4.0, 0.0]]
-    path = Gripper(time=[0.0, 1.0, 3.0], position=places, radius=0.01)
-    expected = [[0, 0, 0], [0, 0, 0], [0.5, 0, 1], [1, 0, 2], [1, 2, 1], [1, 4, 0], [1, 4, 0]]
-    assert np.allclose(path.position_at([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 9.0]), expected, atol=1e-12)
-    assert np.array_equal(path.position_at(0.5), [0.5, 0.0, 1.0])

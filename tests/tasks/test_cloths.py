@@ -11,12 +11,7 @@ from gendom.materials import STANDARD_GRAVITY, size_of, unit_of
 from gendom.reality import RealWorld
 from gendom.tasks import ClothDragging, ClothSpreading, RopeReaching
 from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
-from gendom.tasks.cloth_spreading import (
-    CLOTH,
-    lattice_triangles,
-    spread_areas,
-    step_shares,
-)
+from gendom.tasks.cloth_spreading import CLOTH, lattice_triangles, spread_areas, step_shares
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
@@ -88,6 +83,14 @@ def test_layers_that_stick_in_the_mpm_are_told_once(monkeypatch, caplog):
     assert [(r.levelname, "stick" in r.message) for r in caplog.records] == [("WARNING", True)]
 
 
+def assert_within_limits(path, item):
+    t = np.arange(path.start, path.end, 1e-3)
+    v = np.diff(path.position_at(t, path.blend or 0.0), axis=0) / 1e-3
+    a = np.diff(v, axis=0) / 1e-3
+    assert np.linalg.norm(v, axis=1).max() <= 1.001 * MAX_SPEED * unit_of("m/s", item)
+    assert np.linalg.norm(a, axis=1).max() <= 1.01 * MAX_ACCELERATION * STANDARD_GRAVITY
+
+
 @pytest.mark.parametrize("side", [0.2, 0.5])
 def test_every_motion_keeps_the_tool_s_limits_and_what_takes_too_long_is_refused(side):
     item = replace(DRAGGING.item, side=side)
@@ -99,11 +102,7 @@ def test_every_motion_keeps_the_tool_s_limits_and_what_takes_too_long_is_refused
     for action in (DRAGGING.nearest(item, a) for a in (high, *hasty)):
         assert DRAGGING.allows(item, action)
         path = DRAGGING.tool_path(item, action)
-        t = np.arange(0.0, path.end, 1e-3)
-        v = np.diff(path.position_at(t, path.blend or 0.0), axis=0) / 1e-3
-        a = np.diff(v, axis=0) / 1e-3
-        assert np.linalg.norm(v, axis=1).max() <= 1.001 * MAX_SPEED * unit_of("m/s", item)
-        assert np.linalg.norm(a, axis=1).max() <= 1.01 * MAX_ACCELERATION * STANDARD_GRAVITY
+        assert_within_limits(path, item)
         assert path.end == pytest.approx(DRAGGING.times(item)[-1])
 
 
@@ -166,10 +165,4 @@ def test_what_is_not_spread_is_pulled_to_its_wider_side(turn):
     way = (last - first) / np.linalg.norm(last - first)
     assert way == pytest.approx([-s, c])
     assert (x[2, :2] - first) == pytest.approx(0.06 * side * way)
-    v = (
-        np.diff(path.position_at(np.arange(path.start, path.end, 1e-3), path.blend or 0.0), axis=0)
-        / 1e-3
-    )
-    a = np.diff(v, axis=0) / 1e-3
-    assert np.linalg.norm(v, axis=1).max() <= MAX_SPEED * unit_of("m/s", DRAGGING.item)
-    assert np.linalg.norm(a, axis=1).max() <= MAX_ACCELERATION * STANDARD_GRAVITY
+    assert_within_limits(path, DRAGGING.item)

@@ -50,9 +50,6 @@ def read_object(path: str | os.PathLike) -> RealObject:
     known, fix = isinstance(kind, str) and kind in KINDS, f"give {' or '.join(KINDS)}"
     require(known, f"kind is {kind!r}", where=where, fix=fix)
     colour, material = table.pop("colour", list(PLAIN)), table.pop("material", None)
-    what = "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline"
-    fix = "gendom.sim.cloth(outline=...) simulates it; or give its side"
-    require("outline" not in table, what, where=where, fix=fix)
     good = isinstance(colour, list) and len(colour) == 3
     good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
     require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +10,6 @@ from gendom.arguments import check_integers, check_number, check_numbers, requir
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.lines import along_line, arc_length, around, frames
-from gendom.sim.outlines import Cut, Outline
 
 CELLS_ACROSS = (0.6, 6.0)
 """Fewest and most grid cells across a rope for which its bending and twisting are validated."""
@@ -62,10 +60,7 @@ class Body:
     """[n, 3] rest positions of the thin engine's points [m]: a rope's centre line from one end to
     the other, or a cloth's middle surface row by row, each row along the first axis."""
     shape: tuple[int, ...] = (0,)
-    """Number of points of a rope, or number of rows and points in each row of a cloth's lattice, of
-    which a cloth with an outline has a part."""
-    cut: Cut | None = None
-    """That part; None: all of it."""
+    """Number of points of a rope, or numbers of rows and of points in each row of a cloth."""
 
     @property
     def num_particles(self) -> int:
@@ -103,8 +98,7 @@ class Body:
 
         Each particle represents the material around it, so the visible surface of a rope lies
         further out than its particles: its outer particles are moved away from the middle of
-        their section, to half a diameter. A cloth is thin, so its particles are its surface; points
-        of a cell that an outline cuts are moved onto the outline.
+        their section, to half a diameter. A cloth is thin, so its particles are its surface.
         """
         x = check_numbers("x", x, finite=False)
         known = {self.num_particles, len(self.points)}
@@ -114,18 +108,14 @@ class Body:
                 fix=f"give the positions of its {' or '.join(map(str, sorted(known)))} points",
             )
         if self.kind != "rope":
-            return self.cut.on_skin(x) if self.cut is not None and self._has_points(x) else x
-        if self._has_points(x):
+            return x
+        if x.shape[-2] == len(self.points) != self.num_particles:
             return around(self.points, self.thickness, x)
         sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
         centre = sections.mean(axis=-2, keepdims=True)
         out = (sections - centre)[..., self._outer, :]
         out = out * (self.thickness / 2.0 / np.linalg.norm(out, axis=-1, keepdims=True))
         return (centre + out).reshape(*x.shape[:-2], -1, 3)
-
-    def _has_points(self, x: Array) -> bool:
-        """Whether positions [..., N, 3] are those of the thin engine's points, not of particles."""
-        return x.shape[-2] == len(self.points) != self.num_particles
 
     @property
     def _outer(self) -> NDArray[np.bool_]:
@@ -234,75 +224,56 @@ def _rope_particles(
 
 def cloth(
     *,
-    width: float | None = None,
-    height: float | None = None,
+    width: float,
+    height: float,
     thickness: float,
     dx: float,
     corner: ArrayLike = (0.0, 0.0, 0.0),
     yaw: float = 0.0,
     points: tuple[int, int] | None = None,
-    outline: Any = None,
 ) -> Body:
-    """Make a flat cloth in a horizontal plane: a rectangle, or of any outline.
+    """Make a flat rectangular cloth in a horizontal plane.
 
     It has at least two layers of particles. Their spacing is such that their mean squared distance
     from the middle is the sheet's second moment, h^2 / 12 per unit of area. A sheet thinner than
     a cell is simulated at its true thickness: its layers stretch and shorten with the curvature
     of the velocity field, which the grid resolves.
 
-    A towel with a hole, 0.6 m x 0.4 m:
-
-        cloth(outline=[[(0, 0), (0.6, 0), (0.6, 0.4), (0, 0.4)],
-                       [(0.2, 0.1), (0.4, 0.1), (0.4, 0.3), (0.2, 0.3)]], thickness=0.002, dx=0.02)
-
     Args:
-        width, height: Sizes along the cloth's own first and second axis [m]. With an outline they
-            are those of its box, and may be left out.
+        width, height: Sizes along the cloth's own first and second axis [m].
         thickness: Thickness [m].
         dx: Size of a grid cell [m]. For the MPM.
         points: Numbers of points along the first and second axis, for shells; by default 28 along
             the longer side and the same spacing along the other.
-        corner: [3] position of one corner of the mid-plane, from which both axes go, or with an
-            outline of the origin of its coordinates [m].
+        corner: [3] position of one corner of the mid-plane, from which both axes go [m].
         yaw: Angle of the first axis about z [rad].
-        outline: A polygon [K, 2], or a sequence of them, the outside and then holes, with
-            coordinates along the first and second axis [m] (default: a rectangle), for shells. The
-            points are those of cells of a lattice over the box of the outline that it reaches into
-            (``Body.cut``).
 
     Raises:
         ParameterError: If an argument is of another type or shape or not finite, a size is not
-            positive, there are fewer than two points along a side or more than ``MOST``, the
-            outline crosses itself, has no area or other sizes, or parts of it are too narrow for
-            the points.
+            positive, or there are fewer than two points along a side or more than ``MOST``.
     """
-    shape_of, lower, sizes = _sheet_sizes(width, height, outline)
-    for name, size in zip(
-        ("width", "height", "thickness", "dx"), (*sizes, thickness, dx), strict=True
-    ):
+    given = {"width": width, "height": height, "thickness": thickness, "dx": dx}
+    for name, size in given.items():
         check_number(name, size, above=0.0)
     check_number("yaw", yaw)
     origin = check_numbers("corner", corner, (3,))
     if points is None:
-        spacing = max(sizes) / (POINTS - 1)
-        points = (max(2, 1 + round(sizes[0] / spacing)), max(2, 1 + round(sizes[1] / spacing)))
+        spacing = max(width, height) / (POINTS - 1)
+        points = (max(2, 1 + round(width / spacing)), max(2, 1 + round(height / spacing)))
     nx, ny = check_integers("points", points, (2,), least=2).tolist()
     _check_many(nx * ny, "fewer points")
-    body = _sheet(shape_of, lower, (*sizes, thickness), dx, (nx, ny))
+    body = _sheet((width, height, thickness), dx, (nx, ny))
     c, s = math.cos(yaw), math.sin(yaw)
     to_world = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
     return replace(body, x=origin + body.x @ to_world, points=origin + body.points @ to_world)
 
 
-def _sheet(
-    outline: Outline | None, lower: Array, sizes: tuple[float, float, float], dx: float,
-    points: tuple[int, int],
-) -> Body:  # fmt: skip
-    """A cloth as of ``cloth`` in its own frame, from the lower corner of its box on."""
+def _sheet(sizes: tuple[float, float, float], dx: float, points: tuple[int, int]) -> Body:
+    """A cloth as of ``cloth`` in its own frame, from its corner on."""
     width, height, thickness = sizes
     counts = [max(2.0, size / (dx / 2.0)) for size in sizes]
     _check_many(math.prod(counts), "a larger dx")
-    shape, area, part = [round(count) for count in counts], width * height, None
+    shape = [round(count) for count in counts]
     ticks = [(np.arange(n) + 0.5) * (size / n) for n, size in zip(shape, sizes, strict=True)]
     ticks[2] -= thickness / 2.0
     ticks[2] *= thickness / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
@@ -310,43 +281,20 @@ def _sheet(
     cells = np.argwhere(np.ones(shape))
     axes = (np.linspace(0.0, size, n) for size, n in zip(sizes, points, strict=False))
     middle = np.stack([*np.meshgrid(*axes), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
-    local[:, :2] += lower
-    middle[:, :2] += lower
-    if outline is not None:
-        part, area = Cut(outline, points), outline.area
-        local, cells, middle = local[:0], cells[:0], middle[part.at]  # no particles
     thick = thickness > dx
     return Body(
         kind="cloth",
         x=local,
         material_coordinates=local,
         lattice=neighbours(cells),
-        volume=area * thickness / max(1, len(local)),
+        volume=width * height * thickness / len(local),
         dx=dx,
         thickness=thickness,
         section=1 if thick else shape[2],
         contact_radius=thickness / shape[2] / 2.0 if thick else thickness / 2.0,
         points=middle,
         shape=points[::-1],
-        cut=part,
     )
-
-
-def _sheet_sizes(
-    width: float | None, height: float | None, outline: Any
-) -> tuple[Outline | None, Array, tuple[float, float]]:
-    """The outline of a cloth if it has one, the lower corner of its box, and its sizes [m]."""
-    if outline is None:
-        if width is None or height is None:
-            raise ParameterError("a cloth needs its width and height [m], or an outline")
-        return None, np.zeros(2), (width, height)
-    shape_of = Outline.of(outline)
-    lower, upper = shape_of.box
-    for name, given, size in zip(("width", "height"), (width, height), upper - lower, strict=True):
-        what = f"{name} is {given} m, and the outline's is {size:g} m"
-        allowed = given is None or abs(given - size) <= 1e-6 * size
-        require(allowed, what, fix=f"leave {name} out")
-    return shape_of, lower, tuple((upper - lower).tolist())
 
 
 def round_section(across: int, diameter: float) -> tuple[Array, NDArray[np.integer]]:
@@ -373,7 +321,7 @@ def _check_many(count: float, fix: str) -> None:
 
 def neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     """[N, 3, 2] indices of each particle's neighbours, from lattice cells [N, 3]."""
-    number = np.full(cells.max(axis=0, initial=0) + 3, -1)
+    number = np.full(cells.max(axis=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))
     found = np.empty((len(cells), 3, 2), dtype=np.int32)
     for axis in range(3):

@@ -290,7 +290,6 @@ def _check_fits(
     variation: Variation,
 ) -> None:  # fmt: skip
     """Check that a body of N particles or points has what only some bodies may have."""
-    require(N, "cloths with an outline are shells, not particles", fix="engine='thin'")
     variation.check(N)
     rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
     membrane = not np.isnan(parameters["membrane"]).all()

@@ -79,7 +79,7 @@ def object_layer(
         rings = rings[:, np.linspace(0, rings.shape[1] - 1, n).round().astype(int)]
         points, faces = rings.reshape(len(x), -1, 3), tube_faces(n, 8)
     else:
-        faces = lattice_triangles(*body.shape) if body.cut is None else body.cut.triangles
+        faces = lattice_triangles(*body.shape)
     return Layer(points=points, faces=faces, closed=closed, **about)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gendom.materials import Material
-from gendom.sim import cloth, rope
+from gendom.sim import Gripper, cloth, rope
 from gendom.sim.thin.engine import ThinEngine
 from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
@@ -87,3 +87,12 @@ def test_points_are_as_much_heavier_as_is_told(body):
     light, heavy = (flat_simulator(body, [LIGHT], mass=m).engine for m in (1.0, factors))
     assert isinstance(light, ThinEngine) and isinstance(heavy, ThinEngine)
     np.testing.assert_allclose(heavy.model.mass / light.model.mass, factors[None])
+
+
+def test_a_small_sphere_between_points_of_a_cloth_holds_the_nearest_one():
+    body = cloth(**SIZES, points=(15, 12))
+    hand = Gripper.still(body.points[20] + [0.004, 0.005, 0.0], radius=0.0015)
+    s = flat_simulator(body, [LIGHT], grippers=[hand])
+    s.run([1e-4])
+    assert isinstance(s.engine, ThinEngine)
+    np.testing.assert_array_equal(np.flatnonzero(s.engine.holds[0, 0]), [20])

@@ -70,12 +70,8 @@ def test_every_derivative_is_that_of_central_differences(body):
     p = given(body)
     made = partial(simulator, body)
     assert_meets(made([p]), around(body), np.linspace(0.001, 0.03, 30))
-    names = (
-        "obstacle_friction",
-        "velocities",
-        "E",
-        *shared.LENGTHS,
-    )  # the others do not know of them
+    # the others do not know of obstacles
+    names = ("obstacle_friction", "velocities", "E", *shared.LENGTHS)
     check_derivatives(made, p, dict.fromkeys(names, 1e-5), TIMES, 2e-6)
 
 

@@ -85,7 +85,7 @@ def check_cloth(x: Array, model: Any) -> None:
     reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
     reach += np.linalg.norm(x[triangles] - centres[:, None], axis=2).max()
     fix = "give other positions, or no self_contact"
-    places = np.stack(np.unravel_index(model.at, model.shape), axis=1)
+    places = np.indices(model.shape).reshape(2, -1).T
 
     tree = scipy.spatial.KDTree
     near = tree(middles).sparse_distance_matrix(tree(centres), reach, output_type="ndarray")
@@ -121,11 +121,9 @@ def check_cloth(x: Array, model: Any) -> None:
 
 def edges_and_triangles(model: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Points of a cloth's edges [E, 2], with one diagonal of each cell, and triangles [F, 3]."""
-    g, cells = model.lines[0].index, model.on_lattice(model.exists)[2, :-1, :-1] > 0.0
-    a, b, c, d = (
-        g[j : len(g) - 1 + j, i:][:, : cells.shape[1]][cells] for j in (0, 1) for i in (0, 1)
-    )
-    ends = [np.stack([l.index[:, :-1][l.exist], l.index[:, 1:][l.exist]], 1) for l in model.lines]
+    (rows, columns), g = model.shape, model.lines[0].index
+    a, b, c, d = (g[j : rows - 1 + j, i : columns - 1 + i].ravel() for j in (0, 1) for i in (0, 1))
+    ends = [np.stack([l[:, :-1].ravel(), l[:, 1:].ravel()], axis=1) for l in (g, g.T)]
     edges = np.concatenate([*ends, np.stack([b, c], axis=1)])
     return edges, np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
 
@@ -143,7 +141,7 @@ def _crosses(ends: Array, corners: Array) -> NDArray[np.bool_]:
 
 def _on_plane(x: Array, corners: Array) -> tuple[Array, Array, Array]:
     """Normals [F, 3] of triangles [F, 3, 3], and how far along the two sides from their first
-    corner the feet of points [3] or [F, 3] are [F]."""
+    corner the feet of points [F, 3] are [F]."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal, at = np.cross(u, v), x - a
     square = np.maximum(np.sum(normal**2, axis=1), 1e-300)
@@ -152,13 +150,13 @@ def _on_plane(x: Array, corners: Array) -> tuple[Array, Array, Array]:
 
 
 def triangle_distance(x: Array, corners: Array) -> Array:
-    """[F] smallest distances between points [3] or [F, 3] and triangles [F, 3, 3] [m]."""
+    """[F] smallest distances between points [F, 3] and triangles [F, 3, 3] [m]."""
     normal, along, across = _on_plane(x, corners)
     above = (along >= 0.0) & (across >= 0.0) & (along + across <= 1.0)
     size = np.maximum(np.linalg.norm(normal, axis=1), 1e-150)
     level = np.abs(np.sum((x - corners[:, 0]) * normal, axis=1)) / size
     step = np.roll(corners, -1, axis=1) - corners
-    from_corner = np.broadcast_to(x, step[:, 0].shape)[:, None] - corners
+    from_corner = x[:, None] - corners
     share = np.sum(from_corner * step, axis=2) / np.maximum(np.sum(step**2, axis=2), 1e-300)
     foot = np.clip(share, 0.0, 1.0)[..., None] * step
     sides = np.linalg.norm(from_corner - foot, axis=2).min(axis=1)

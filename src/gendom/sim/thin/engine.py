@@ -80,8 +80,7 @@ class ThinEngine(Engine):
         self.stiffer = np.ones((W, G, len(m.lines), n))
         along = np.append(0.0, np.cumsum(m.lines[0].length))[:, None]
         rest = along if isinstance(m, RodModel) else s.body.points
-        # a body with holes and notches may be shorter between two points than they tell
-        self.ties = Ties(rest, (W, G), s) if G > 1 and s.body.cut is None else None
+        self.ties = Ties(rest, (W, G), s) if G > 1 else None
         self.device_model = model = self._device_model()
         led = ("place", "holds", "inertia", "loose")
         self._led = {name: getattr(model, name).numpy() for name in led}
@@ -104,9 +103,9 @@ class ThinEngine(Engine):
         """State [W, ., P] at rest, with points [W, n, 3], or [1, n, 3] in all worlds."""
         for lines in self.model.lines:
             step = np.linalg.norm(np.diff(lines.of(different), axis=1), axis=2)
-            stretch = (step / lines.length - 1.0).reshape(len(different), *lines.exist.shape)
-            w, l, k = np.unravel_index((np.abs(stretch) * lines.exist).argmax(), stretch.shape)
-            if lines.exist[l, k] and abs(stretch[w, l, k]) > STRETCH:
+            stretch = (step / lines.length - 1.0).reshape(len(different), len(lines.index), -1)
+            w, l, k = np.unravel_index(np.abs(stretch).argmax(), stretch.shape)
+            if abs(stretch[w, l, k]) > STRETCH:
                 kind, most = self.setting.body.kind, 100 * stretch[w, l, k]
                 raise ParameterError(
                     f"the {kind} begins stretched by {most:.0f} %",

@@ -119,9 +119,8 @@ def _cut(
     """Cut lines of points [L, n, 3] with spheres [L] between held edges, which are ``inside``
     [L, n - 1], and free ones; returns also the factors [L, n] on the stiffness of joints."""
     L, n = x.shape[:2]
-    length, exist = lines.length, np.tile(lines.exist, (L // len(lines.index), 1))
-    borders = inside[:, :-1] != inside[:, 1:]
-    w, i = np.nonzero(borders & exist[:, :-1] & exist[:, 1:])
+    length, borders = lines.length, inside[:, :-1] != inside[:, 1:]
+    w, i = np.nonzero(borders)
     i = i + 1
     before = inside[w, i - 1]
     held, free = np.where(before, i - 1, i), np.where(before, i, i - 1)
@@ -139,7 +138,7 @@ def _cut(
     step = np.where(far, edge, length[held])
     border = np.where(far, share, share - 1.0) * step  # from the joint on
     after = np.clip(np.where(before, outer, outer - 1), 0, n - 2)
-    shared = (outer > 0) & (outer < n - 1) & exist[w, after]
+    shared = (outer > 0) & (outer < n - 1)
     taken = np.pad(borders, ((0, 0), (1, 1))).astype(int)
     np.add.at(taken, (w, outer), 1)
     shared &= taken[w, outer] == 1  # it is at no border, and beside one

@@ -141,8 +141,7 @@ class RodModel:
     @cached_property
     def lines(self) -> list[Lines]:
         n = len(self.tributary)
-        exist = np.ones((1, n - 1), dtype=bool)
-        return [Lines(np.arange(n)[None], self.length, exist, SHORTEST)]
+        return [Lines(np.arange(n)[None], self.length, SHORTEST)]
 
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``

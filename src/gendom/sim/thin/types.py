@@ -77,25 +77,21 @@ class Lines:
     """Lines of points along which a body bends: a rod itself, rows or columns of a shell."""
 
     index: NDArray[np.int64]
-    """[L, k] points of each line; -1: there is none."""
+    """[L, k] points of each line."""
     length: Array
     """[k - 1] of edges at rest [m]."""
-    exist: NDArray[np.bool_]
-    """[L, k - 1] whether there is an edge."""
     least: float
     """Least length represented by a joint at a gripper's border, over its usual length."""
 
-    def of(self, values: Array, fill: float = 0.0) -> Array:
+    def of(self, values: Array) -> Array:
         """Values of points [W, n, ...] along the lines of all worlds, [W L, k, ...]."""
-        taken = values[:, self.index]
-        taken[:, self.index < 0] = fill
-        return taken.reshape(-1, *taken.shape[2:])
+        return values[:, self.index].reshape(-1, self.index.shape[1], *values.shape[2:])
 
     def points(self, values: Array) -> Array:
         """Inverse of ``of``."""
-        there, more = self.index >= 0, values.shape[2:]
-        found = np.empty((len(values) // len(there), self.index.max() + 1, *more), values.dtype)
-        found[:, self.index[there]] = values.reshape(-1, *there.shape, *more)[:, there]
+        worlds, more = len(values) // len(self.index), values.shape[2:]
+        found = np.empty((worlds, self.index.size, *more), values.dtype)
+        found[:, self.index] = values.reshape(worlds, *self.index.shape, *more)
         return found
 
 
