@@ -182,6 +182,7 @@ class ThinEngine(Engine):
         """Set points' positions [W, n, 3] [m]."""
         rows = self.state.numpy()
         rows[:, X, self.slots] = np.swapaxes(x - self.origin, 1, 2)
+        self.first = None
         self.state.assign(rows)
         self.launch(self.kernels.begin, slice(0, self.num_worlds), [self.device_model, self.state])
 
