@@ -300,18 +300,19 @@ ON_CUDA = partial(TIMED, needs=("cuda",))
 WIRE = "benchmarks/recordings/wire_white_loop.npz"
 
 FIGURES = (
-    covered("rope", "--lifts 30 --seed 200 --measured"),
-    covered("wide", "--wide --lifts 20 --measured"),
-    covered("cloth", "--kind cloth --lifts 15 --seed 1015"),
+    covered("rope", "--lifts 30 --seed 400 --measured"),
+    covered("wide", "--wide --lifts 20 --seed 400 --measured"),
+    covered("cloth", "--kind cloth --lifts 15 --seed 1045"),
     *(
-        covered(unlike, f"--lifts 16 --seed 200 --unlike {unlike}")
+        covered(unlike, f"--lifts 16 --seed 400 --unlike {unlike}")
         for unlike in ("soft-5", "soft-10", "soft-20", "tip-5", "tip-15", "thick", "thin", "2-hz")
     ),
     Figure(
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),
     ),
-    experiment("sbc", "sbc --lifts 86 --seed 111", sbc),
+    experiment("sbc", "sbc --lifts 200 --seed 111", sbc),
+    experiment("sbc-cloth", "sbc --kind cloth --lifts 60 --seed 100", sbc),
     experiment("npe", "npe --scale full --lifts 60 --jobs 12 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),

@@ -163,6 +163,7 @@ def test_cameras_that_are_apart_are_not_noise_of_a_cloth(cloth_lift, sheet):
         problem = Problem([LiftScene.of(seen, settings.scene)], settings)
         vector = problem.prior.vector(cloth_lift.truth)
         (compared,) = problem.compare([vector], derivatives=False)
+        assert compared is not None
         noise.append(estimated_noise(compared, problem.first_noise())[0])
     assert noise[1].sensor < 1.1 * noise[0].sensor
     assert noise[1].model < 1.5 * noise[0].model
