@@ -95,6 +95,11 @@ def _check_object(described: ObjectDescription) -> Iterator[Fault]:
             yield Fault(what, f"object.{name}", f"measure it and give {unit}")
         elif value is not None and not _is_length(value):
             yield Fault(f"is {value}", f"object.{name}", f"give {unit} above 0, or null if unknown")
+    for name in ("diameter", "thickness"):
+        size, sd = getattr(described, name), getattr(described, f"{name}_sd")
+        if _is_length(size) and _is_length(sd) and sd > size:
+            what = f"is {sd}, more than the {name}, {size}"
+            yield Fault(what, f"object.{name}_sd", "give how far off it may be [m], or null")
 
 
 def _is_length(value: float | None) -> bool:
@@ -236,6 +241,10 @@ def _check_other_units(recording: RecordingData) -> Iterator[Fault]:
         if away > _MAX_AWAY:
             fix = _units(float(away), 0.3, 5.0)
             yield Fault(f"a camera is {away:.4g} m away", "camera_positions", fix)
+        named = 0 if recording.seen_by is None else int(recording.seen_by.max()).bit_length()
+        if named > len(cameras):
+            what = f"names camera {named - 1}; camera_positions has {len(cameras)} rows"
+            yield Fault(what, "seen_by", "give each camera's position, in the order of the bits")
 
 
 def _check_density(held: ObjectDescription, size: float) -> Iterator[Fault]:
