@@ -121,6 +121,15 @@ def test_without_goals_only_what_succeeded_is_learnt(tmp_path):
     assert policy.goal_range().shape == (0, 2)
 
 
+@pytest.mark.parametrize("count", [500, 501, 502])
+def test_bins_of_one_object_ascend(count):
+    """Their means are rounded otherwise where they have other numbers of rows."""
+    for E in np.linspace(0.3, 0.4, 40):
+        d = toy(count)
+        d.parameters["bending_ratio"][:] = E
+        assert (np.diff(train_module.goal_range(d).at) >= 0.0).all()
+
+
 def test_file_is_small_and_says_what_it_is(distal):
     path = Path(distal.where)
     assert path.stat().st_size < 500_000

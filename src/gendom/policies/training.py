@@ -145,8 +145,9 @@ def goal_range(demonstrations: Demonstrations) -> GoalRange:
     parts = [part for part in parts if len(part)]
     outer = (GOAL_QUANTILE, 1.0 - GOAL_QUANTILE)
     ends = [np.quantile(demonstrations.goal[part], outer, axis=0).tolist() for part in parts]
+    middles = np.exp([np.mean(np.log(E[part])) for part in parts])
     return GoalRange(
-        at=tuple(float(np.exp(np.mean(np.log(E[part])))) for part in parts),
+        at=tuple(np.maximum.accumulate(middles).tolist()),  # of one object they differ by rounding
         low=tuple(tuple(low) for low, _ in ends),
         high=tuple(tuple(high) for _, high in ends),
     )
