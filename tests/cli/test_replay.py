@@ -77,7 +77,19 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
     ("changes", "said"),
     [
         ({"verdict": {"usable": False, "reasons": ["it rests"]}}, "is not usable: it rests; "),
-        ({"object": {"kind": "cloth"}}, "the parameters are of a cloth, the recording shows"),
+        ({"object": {"kind": "cloth"}}, "the recording: shows a rope, estimate.json a cloth; "),
+        (
+            {"object": {"length": 0.26}},
+            "the recording: length is 0.25, in estimate.json 0.26; ",
+        ),
+        (
+            {"object": {"diameter": 0.02}},
+            "the recording: diameter is 0.012, in estimate.json 0.02; ",
+        ),
+        (
+            {"object": {"mass": None}},
+            "mass is 0.0282743, in estimate.json not stated; ",
+        ),
         ({"recordings": []}, "is of no recording, or of an earlier version; run gendom estimate"),
         ({"posterior": None}, "posterior: expected"),
         ({"format": "other/1"}, "has format 'other/1', not 'gendom-estimate/1'"),
@@ -85,7 +97,7 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
 )
 def test_what_cannot_be_replayed_is_refused(words, params, refused, changes, said):
     """One that is not usable unless it is insisted on."""
-    changed = params | changes
+    changed = params | changes | {"object": params["object"] | changes.get("object", {})}
     write_json("estimate.json", changed | {"sha256": checksum(changed)})
     assert said in refused(*words)
     if "verdict" in changes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,6 +14,7 @@ import numpy as np
 
 from gendom.arguments import check_choice, require
 from gendom.arrays import Array
+from gendom.datasets import Recording
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
@@ -31,6 +32,8 @@ SIZES_OF_OBJECT = (
     "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
 )  # fmt: skip
 """Fields of an object's description that all of its recordings share."""
+
+APART = "estimate each by itself"
 
 LIMP, ASTRAY = 0.065, 0.01
 """Bending length below which cloths may buckle as they hang, and how much farther than in other
@@ -475,21 +478,35 @@ def recording_names(count: int) -> tuple[str, ...]:
 def _check_one_object(scenes: Sequence[LiftScene], names: Sequence[str]) -> None:
     """Refuse recordings whose object descriptions differ."""
     require(scenes, "there is no recording", fix="give one or more")
-    what, apart = f"{len(scenes)} recordings have {len(names)} names", "estimate each by itself"
+    what = f"{len(scenes)} recordings have {len(names)} names"
     require(len(names) == len(scenes), what, where="names")
-    first = scenes[0].recording.object
+    first = scenes[0].recording
+    stated = {size: getattr(first.object, size) for size in SIZES_OF_OBJECT}
     for scene, name in zip(scenes[1:], names[1:], strict=True):
-        other = scene.recording.object
-        what = f"shows a {other.kind}, {names[0]} a {first.kind}"
-        require(other.kind == first.kind, what, where=name, fix=apart)
+        check_object(scene.recording, first.object.kind, stated, where=name, of=names[0])
         here, there = (len(s.recording.frame(s.begins)) for s in (scene, scenes[0]))
         what = f"shows {here} markers in order, {names[0]} {there}"
-        require(here == there or not scenes[0].captured, what, where=name, fix=apart)
-        for size in SIZES_OF_OBJECT:
-            a, b = getattr(first, size), getattr(other, size)
-            # the length between two hands is measured, real ones to 0.5 %
-            alike = 0.01 if size == "length" and scenes[0].captured else 1e-6
-            same = a == b or (None not in (a, b) and math.isclose(a, b, rel_tol=alike))
-            here, there = ("not stated" if v is None else f"{v:g}" for v in (b, a))
-            fix = f"state the same for all recordings if they show one object, else {apart}"
-            require(same, f"{size} is {here}, in {names[0]} {there}", where=name, fix=fix)
+        require(here == there or not scenes[0].captured, what, where=name, fix=APART)
+
+
+def check_object(
+    recording: Recording, kind: str, stated: Mapping[str, float | None], *, where: str, of: str
+) -> None:
+    """Refuse a recording of another object than one of this kind with these sizes [m] and mass
+    [kg], None where not known, as ``of`` says.
+
+    Raises:
+        ParameterError: It shows another one.
+    """
+    described, markers = recording.object, recording.extra.get("ordered_markers", False)
+    what = f"shows a {described.kind}, {of} a {kind}"
+    require(described.kind == kind, what, where=where, fix=APART)
+    for size, there in stated.items():
+        here = getattr(described, size)
+        # the length between two hands is measured, real ones to 0.5 %
+        alike = 0.01 if size == "length" and markers else 1e-6
+        known = here is not None and there is not None
+        same = math.isclose(here, there, rel_tol=alike) if known else here is there
+        texts = ["not stated" if v is None else f"{v:g}" for v in (here, there)]
+        fix = f"state the same for all recordings if they show one object, else {APART}"
+        require(same, f"{size} is {texts[0]}, in {of} {texts[1]}", where=where, fix=fix)

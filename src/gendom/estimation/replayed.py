@@ -14,8 +14,10 @@ from gendom.datasets.recording import is_recording
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation.estimate import estimate
 from gendom.estimation.placing import with_points
-from gendom.estimation.problem import EstimateSettings, Progress
+from gendom.estimation.priors import thickness_stated
+from gendom.estimation.problem import EstimateSettings, Progress, check_object
 from gendom.estimation.scene import LiftScene, SceneSettings
+from gendom.materials import KINDS
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
@@ -35,15 +37,16 @@ def replay_setup(
     JSON, ``where`` is its file; engine None: that of the estimate.
 
     Raises:
-        ParameterError: The parameters cannot be used, or are of the other kind of object.
+        ParameterError: The parameters cannot be used, or are of another object.
         RecordingError: The recording shows too little to place the object.
         SimulationError: None of the parameters that are estimated again can be simulated.
     """
     found = Estimate.from_dict(params, where)
-    shown = recording.object.kind
-    what = f"the parameters are of a {found.kind}, the recording shows a {shown}"
-    fix = "estimate from a recording of the same object"
-    require(found.kind == shown, what, where=where, fix=fix)
+    stated = {size: found.known.get(size) for size in ("length", "width", "height", "mass")}
+    if thickness_stated(recording.object):
+        small = KINDS[found.kind].sizes[1]
+        stated[small] = found.known.get(small)
+    check_object(recording, found.kind, stated, where="the recording", of=where)
     every = list(params.get("recordings") or ())
     what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
     require(every and found.posterior.bases, what, where=where, fix=fix)
