@@ -416,7 +416,7 @@ def at_rest(path, loops=LOOPS, **changes):
 
 def test_a_shape_at_rest_becomes_a_recording(tmp_path):
     """Held at both ends, where the repeats are in the mean, along their first and last piece."""
-    arrays, meta = read_npz(at_rest(tmp_path / "a.npz"))
+    arrays, meta, _ = read_npz(at_rest(tmp_path / "a.npz"))
     ends, inner = LOOPS[:, [0, 4]].mean(axis=0), LOOPS[:, [1, 3]].mean(axis=0)
     axes = (inner - ends) / np.linalg.norm(inner - ends, axis=1)[:, None]
     wanted = {"points": LOOPS.reshape(10, 3), "offsets": [0, 5, 10], "time": [0, 1],

@@ -32,6 +32,7 @@ def changed(lift, tmp_path, **changes):
     """The path of a recording whose arrays are passed through functions, and of which others and
     entries of its meta (object__length of its object) are replaced; ... leaves one out."""
     arrays, meta = stored(lift, tmp_path)
+    arrays |= changes.pop("arrays", {})
     for name, value in changes.items():
         *outer, name = name.split("__")
         table = arrays if name in ARRAYS and name != "camera_positions" else meta
@@ -273,6 +274,9 @@ def closed(*states):
 
 
 WARNED = [
+    ({"arrays": {"colour": np.zeros(2)}}, ["colour: is read by nothing; docs/recordings.md says"]),
+    ({"arrays": {"griper_closed": np.ones((5, 1)), "of_mine": np.zeros(2)}},
+     ["griper_closed, of_mine: are read by nothing; did you mean 'gripper_closed'[?]$"]),
     (FIRST, ["frames: 1 with points; record a whole lift", ""]),
     ({"object__length": 4.0}, ["object.length: .*is it 0.4 m?"]),
     (NINE_MS, ["time: .*times look like milliseconds"]),

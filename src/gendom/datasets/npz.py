@@ -117,20 +117,25 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
     return seen(points)
 
 
-def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read the arrays of a recording, or of a shape at rest as one, and the parsed `meta`."""
+def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], list[str]]:
+    """Read the arrays of a recording, or of a shape at rest as one, the parsed `meta`, and names of
+    arrays that are not read."""
+    known, others = (*STORED_ARRAYS, "loops", "meta"), []
 
-    known, write = (*STORED_ARRAYS, "loops", "meta"), f"write {FORMAT} with numpy.savez"
-    stored = _arrays(path, lambda names: [n for n in known if n in names], write=write)
+    def choose(names: list[str]) -> list[str]:
+        others.extend(name for name in names if name not in known)
+        return [name for name in known if name in names]
+
+    stored = _arrays(path, choose, write=f"write {FORMAT} with numpy.savez")
     meta, where = stored.pop("meta", np.zeros(0)), f"{path}: meta"
     is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON
     fix = "gendom.Recording.from_frames(...).write makes a recording (docs/recordings.md)"
     wanted(is_text, "is missing, or no JSON text", where, fix)
     meta = parse_json(meta.item(), where, RecordingError)
     if (form := meta.get("format")) == FORMAT_STATIC:
-        return _recording_of_static(stored, meta, str(path))
+        return *_recording_of_static(stored, meta, str(path)), others
     wanted(form == FORMAT, f"is {form!r}", f"{where}.format", f"only {FORMAT!r} can be read here")
-    return stored, meta
+    return stored, meta, others
 
 
 @dataclass(frozen=True, kw_only=True)

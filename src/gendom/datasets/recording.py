@@ -28,6 +28,7 @@ from gendom.datasets.recording_form import (
     convert,
     missing_keys,
     parse_meta,
+    unread_arrays,
 )
 from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
@@ -118,7 +119,7 @@ class Recording(RecordingData):
 
 def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[Fault]]:
     """Arrays and meta of a recording in any form, what messages call the file of its meta, and
-    faults of the meta's keys."""
+    faults of the names in it."""
     is_lerobot = (path / "meta/info.json").is_file()
     described = is_lerobot or (path / "gripper.csv").is_file()
     kinds = {
@@ -136,11 +137,12 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
         faults = [] if key in meta else [Fault(what, key, fix, "warning")]
         return arrays, meta, str(path / "object.toml"), faults
     if is_lerobot:
-        from gendom.datasets.lerobot import read_lerobot as read  # imported here: it needs pyarrow
-    else:
-        read = read_npz
-    arrays, meta = read(path)
-    return arrays, meta, str(path), missing_keys(meta)
+        from gendom.datasets.lerobot import read_lerobot  # imported here: it needs pyarrow
+
+        arrays, meta = read_lerobot(path)
+        return arrays, meta, str(path), missing_keys(meta)
+    arrays, meta, others = read_npz(path)
+    return arrays, meta, str(path), [*missing_keys(meta), *unread_arrays(others)]
 
 
 def _refuse_errors(faults: list[Fault], where: str | Path) -> None:

@@ -391,6 +391,14 @@ def missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
     return [Fault("is missing", f"meta.{k}", _FIXES[k]) for k in needed if k not in meta]
 
 
+def unread_arrays(names: Sequence[str]) -> list[Fault]:
+    """A warning that names a file's arrays that nothing reads, if there are any."""
+    near = filter(None, (did_you_mean(name, STORED_ARRAYS, cutoff=0.75) for name in names))
+    fix = " ".join(dict.fromkeys(near)) or "docs/recordings.md says which there are"
+    what = f"{'are' if len(names) > 1 else 'is'} read by nothing"
+    return [Fault(what, ", ".join(names), fix, "warning")] if names else []
+
+
 def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     """Read the fields of a `Recording` from its meta; return them and faults of type."""
     rest = {key: value for key, value in meta.items() if key != "format"}

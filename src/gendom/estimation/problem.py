@@ -505,8 +505,7 @@ def check_object(
         here = getattr(described, size)
         # the length between two hands is measured, real ones to 0.5 %
         alike = 0.01 if size == "length" and markers else 1e-6
-        known = here is not None and there is not None
-        same = math.isclose(here, there, rel_tol=alike) if known else here is there
+        same = math.isclose(here or 0.0, there or 0.0, rel_tol=alike)  # sizes are above 0
         texts = ["not stated" if v is None else f"{v:g}" for v in (here, there)]
         fix = f"state the same for all recordings if they show one object, else {APART}"
         require(same, f"{size} is {texts[0]}, in {of} {texts[1]}", where=where, fix=fix)
