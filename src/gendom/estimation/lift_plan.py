@@ -21,6 +21,7 @@ from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
+from gendom.datasets.recording_form import joined
 from gendom.errors import RobotError, SimulationError
 from gendom.estimation import (
     UNKNOWNS,
@@ -338,8 +339,7 @@ def imagined(
             skin = skin[rng.choice(len(skin), size=most, replace=False)]
             shown[t] = skin + noise * rng.standard_normal(skin.shape)
         every = [shown.get(t, np.zeros((0, 3))) for t in range(lying.num_frames)]
-        ends = np.cumsum([0, *map(len, every)])
-        found.append(replace(lying, points=np.concatenate(every), offsets=ends))
+        found.append(replace(lying, **joined(every)))
     return found
 
 

@@ -180,15 +180,15 @@ class Comparison:
             shape = shape + np.einsum("nq,tqa->tna", B, smooth)
         if o.scene.beside:
             shape = shape + aside(o.scene, self.frames, self.beside(a))
-        return self._moved(shape, a)
+        return self.moved(shape, a)
 
     def _apart(self, a: Array) -> Array:
         """[T, m, 3] points moved by how far cameras are apart in ``a`` [m]."""
         o, (shift, turn) = self.observation, np.split(a[-13:-7], 2)
+        if not o.apart.size:
+            return o.points
         way = o.apart[:, : o.points.shape[1]]
-        return (
-            o.points + way * (shift + np.cross(turn, o.points - o.centre)) if way.size else o.points
-        )
+        return o.points + way * (shift + np.cross(turn, o.points - o.centre))
 
     def _by_offsets(self, rows: Rows) -> Array:
         """[T, m, B] by how much residuals fall with the markers' offsets."""
@@ -198,13 +198,9 @@ class Comparison:
         found = np.einsum("tmkq,tmkab,tma->tmqb", along, frames, rows.normal, optimize=True)
         return found.reshape(*rows.rho.shape, -1)
 
-    def _moved(self, shape: Array, a: Array) -> Array:
-        """A shape [..., 3] with the rigid motion of ``a`` [R] [m]."""
+    def moved(self, shape: Array, a: Array) -> Array:
+        """A shape [..., 3] with the rigid motion of ``a`` [R], as cameras show it [m]."""
         return shape - a[-7:-4] - np.cross(a[-4:-1], shape - self.observation.centre)
-
-    def as_seen(self, shape: Array, noise: NoiseModel) -> Array:
-        """A shape [..., 3] moved as the cameras' estimated rigid motion shows it [m]."""
-        return self._moved(shape, self.fit(noise).a)
 
     def _linearised(self, a: Array, noise: NoiseModel, rows: Rows | None = None) -> Fit:
         """Residuals about the shape displaced by ``a`` [R], of points that are paired anew where
@@ -331,14 +327,10 @@ class Fit:
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off, own = a - self.a, np.diag(spread)
             loss = max(total - float((2.0 * slope - D @ off) @ off), 0.0)
-            of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
+            model = math.sqrt(float(a[:S] @ a[:S] + own[:S].sum()) / S)
             used = R - float(own @ prior)
-            of_sensor = loss / max(count - used, 0.1 * count)
-            noise = replace(
-                noise,
-                model=max(math.sqrt(of_model), noise.least_model),
-                sensor=max(math.sqrt(of_sensor), noise.least_sensor),
-            )
+            sensor = max(math.sqrt(loss / max(count - used, 0.1 * count)), noise.least_sensor)
+            noise = replace(noise, model=max(model, noise.least_model), sensor=sensor)
         return noise
 
 

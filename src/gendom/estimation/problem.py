@@ -19,12 +19,7 @@ from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.replay import Shape, middle, replay_axis
-from gendom.estimation.scene import (
-    COARSE_FRAMES,
-    COARSE_POINTS,
-    LiftScene,
-    SceneSettings,
-)
+from gendom.estimation.scene import COARSE_FRAMES, COARSE_POINTS, LiftScene, SceneSettings
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
@@ -196,14 +191,7 @@ class Part:
 class Problem:
     """Scenes of one object with unknowns, as a function to minimise.
 
-    All recordings share the unknowns of the material; all others have a value for each recording.
-
-    Args:
-        scenes: What was recorded, one or more times.
-        settings: How it is estimated.
-        on_progress: Called by methods after each iteration.
-        known: Values of everything that is not looked for; by default those of the priors.
-        names: Of the recordings, for people.
+    Arguments are those of `gendom.estimation.estimate`.
 
     Raises:
         ParameterError: A scene has none of the wanted unknowns, or the objects differ.
@@ -289,9 +277,8 @@ class Problem:
             if max(5, len(off) // 3) <= astray < len(off):
                 note = f"from frame {scene.frames[astray]} on the cloth has buckled otherwise than"
                 notes = (*scene.notes, f"{note} a simulated one: these frames are not compared")
-                part = replace(
-                    part, scene=replace(scene, frames=scene.frames[:astray], notes=notes)
-                )
+                scene = replace(scene, frames=scene.frames[:astray], notes=notes)
+                part = replace(part, scene=scene)
             parts.append(part)
         return self._with(parts)
 
@@ -498,13 +485,14 @@ def check_object(
     Raises:
         ParameterError: It shows another one.
     """
-    described, markers = recording.object, recording.extra.get("ordered_markers", False)
+    described, said = recording.object, recording.extra
+    captured = said.get("ordered_markers", False) and not said.get("static", False)
     what = f"shows a {described.kind}, {of} a {kind}"
     require(described.kind == kind, what, where=where, fix=APART)
     for size, there in stated.items():
         here = getattr(described, size)
         # the length between two hands is measured, real ones to 0.5 %
-        alike = 0.01 if size == "length" and markers else 1e-6
+        alike = 0.01 if size == "length" and captured else 1e-6
         same = math.isclose(here or 0.0, there or 0.0, rel_tol=alike)  # sizes are above 0
         texts = ["not stated" if v is None else f"{v:g}" for v in (here, there)]
         fix = f"state the same for all recordings if they show one object, else {APART}"

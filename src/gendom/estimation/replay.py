@@ -24,7 +24,6 @@ from gendom.sim.thin import rotation
 if TYPE_CHECKING:
     from gendom.sim import Simulator
 
-
 HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
 
@@ -182,11 +181,9 @@ class WorldInputs:
             warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
         elif scene.thin:
-            most = E * min(1.0, EDGES * scene.body.thickness / scene.size) ** 2
-            if max(along, most) != E:
-                more = {
-                    "membrane": max(along, most)
-                }  # fibres, which slide past each other in bending
+            # fibres, which slide past each other in bending
+            most = max(along, E * min(1.0, EDGES * scene.body.thickness / scene.size) ** 2)
+            more = {} if most == E else {"membrane": most}
         nu, damping = self.theta.nu, self.theta.damping
         return Material(E=E, nu=nu, density=scene.density, damping=damping, **more)
 

@@ -41,7 +41,7 @@ class RecordingFit:
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
-        moved = comparison.as_seen(self.positions, noise)
+        moved = comparison.moved(self.positions, fit.a)
         if scene.thin:
             moved = scene.body_of(self.theta).surface(moved)
         registered = _chamfer(scene, moved)
@@ -186,7 +186,7 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         "method": settings.method,
         "frames": settings.frames,
         "seed": settings.seed,
-        "device": problem.scene.settings.device,
+        "device": scene.settings.device,
         "interrupted": found.interrupted,
         "starts": starts,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -140,7 +140,7 @@ class LiftScene(Placed):
     registration: Array | None = None
     """[4, 4] by which the recording's clouds were moved [m]; None: the stated camera poses are
     taken."""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     """What was assumed."""
 
     @classmethod
@@ -150,13 +150,7 @@ class LiftScene(Placed):
         settings: SceneSettings | None = None,
         registration: Array | None = None,
     ) -> LiftScene:
-        """The scene of a recording.
-
-        Args:
-            recording: What was recorded.
-            settings: How it is simulated.
-            registration: [4, 4] transform from clouds of cameras with unknown poses to the robot's
-                frame [m]; None: the clouds are in that frame.
+        """The scene of a recording, with `registration` [4, 4] of its clouds to the robot's frame.
 
         Raises:
             RecordingError: The recording shows too little to place the object.
@@ -370,25 +364,12 @@ class LiftScene(Placed):
     def turned(self, g: int, times: Array) -> Rotation | None:
         """How a gripper has turned since the first frame at simulated times [K], None: not. As its
         recorded axis does, without turning about it."""
-        slerp = self._turns[g]
-        if slerp is None:
+        axes, first = self.recording.gripper_axis, self.begins
+        if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
             return None
-        first, last = np.asarray(slerp.times)[[0, -1]]
-        return slerp(np.clip(times, first, last))
-
-    @cached_property
-    def _turns(self) -> list[Slerp | None]:
-        axes, first, found = self.recording.gripper_axis, self.begins, []
-        for g in range(len(self.held)):
-            if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
-                found.append(None)
-                continue
-            level = np.array([0.0, 0.0, 0.0, 1.0])
-            along = rotation.transported(level, axes[first:, g].astype(float))
-            turned = Rotation.from_quat(along)
-            times = self.sim_time(self.recording.time[first:])
-            found.append(Slerp(times, turned * turned[0].inv()))
-        return found
+        level, shown = np.array([0.0, 0.0, 0.0, 1.0]), self.sim_time(self.recording.time[first:])
+        turned = Rotation.from_quat(rotation.transported(level, axes[first:, g].astype(float)))
+        return Slerp(shown, turned * turned[0].inv())(np.clip(times, shown[0], shown[-1]))
 
     @cached_property
     def clamp_frames(self) -> list[Array]:

@@ -79,10 +79,7 @@ class GaussNewtonSettings:
 
 
 def gauss_newton(
-    problem: Problem,
-    settings: GaussNewtonSettings | None = None,
-    *,
-    initial: Sequence[Array] = (),
+    problem: Problem, settings: GaussNewtonSettings | None = None, *, initial: Sequence[Array] = ()
 ) -> Found:
     """Search, by default with the settings of its kind of object, and keep the best so far if
     interrupted; ``initial`` [P] are where to begin instead of at the best of a scan.
