@@ -242,7 +242,7 @@ def test_fingers_and_pulls_widen_what_they_move():
     parts = [NS(scene=NS(captured=True), shown=s) for s in shown]
     parts.append(NS(scene=NS(captured=False), shown=shown[0]))
     fits = [NS(fit=lambda noise, p=p: NS(pulls=p)) for p in (*pulls, 1e3 * pulls[0])]
-    both = NS(best=NS(comparison=NS(parts=fits)), noise=[None] * 3)
+    both = NS(best=NS(compared=NS(parts=fits)), noise=[None] * 3)
     total = np.zeros((3, 3))
     for p, s in zip(pulls, shown, strict=True):
         for k in range(10):

@@ -345,7 +345,7 @@ def test_a_verdict_has_all_reasons_by_recording(monkeypatch):
         scene = NS(recording=seen, density=1e5)
         parts.append(NS(scene=scene, name=name, noise=NOISE, base="base", k=k))
     compared = [NS(cameras_apart=lambda: (0.0, 0, 0), rms=0.0, k=k) for k in range(2)]
-    best = NS(comparison=NS(parts=compared), vector="vector")
+    best = NS(compared=NS(parts=compared), vector="vector")
     found = NS(best=best, noise=["noise 0", "noise 1"])
     problem = NS(parts=parts, theta=lambda v, k: f"theta {k}", prior=NS(names=("E_over_rho",)))
 

@@ -132,11 +132,10 @@ def _unexplained(
     found: Found, part: Part, recording: int, calibration: IntervalCalibration
 ) -> float:
     """Displacement of the model beyond that of lifts with known truth, of a coordinate [m]."""
-    noise, comparison = found.noise[recording], found.best.comparison
+    noise = found.noise[recording]
     if part.scene.static:
         # repeats of one shape average the sensor's noise, not what is wrong with the shape
-        assert comparison is not None
-        return comparison.parts[recording].fit(noise).rms
+        return found.best.compared.parts[recording].fit(noise).rms
     usual = calibration.displaced * part.scene.size if len(part.scene.held) == 1 else 0.0
     return math.sqrt(max(noise.model**2 - max(usual, noise.least_model) ** 2, 0.0))
 
@@ -169,9 +168,8 @@ def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
     second, then another way. How strong these pulls are is seen, without a model of their cause
     (Huber 1967, "The behavior of maximum likelihood estimates under nonstandard conditions").
     """
-    total, compared = np.zeros(covariance.shape), found.best.comparison
-    assert compared is not None
-    for part, own, noise in zip(problem.parts, compared.parts, found.noise, strict=True):
+    total, compared = np.zeros(covariance.shape), found.best.compared.parts
+    for part, own, noise in zip(problem.parts, compared, found.noise, strict=True):
         if part.scene.captured:
             parts = np.array_split(own.fit(noise).pulls, EPISODES)
             sums = np.stack([pulls.sum(axis=0) for pulls in parts])

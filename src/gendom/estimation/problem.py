@@ -116,6 +116,12 @@ class Start:
     coarse: bool = True
     """Whether it has been compared in a coarse problem at most."""
 
+    @property
+    def compared(self) -> Comparisons:
+        """`comparison` of a start that could be simulated."""
+        assert self.comparison is not None
+        return self.comparison
+
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
@@ -285,9 +291,7 @@ class Problem:
     def beside(self, found: Found) -> Problem:
         """The same with the markers of a cable as far beside its axis as was found, in the mean of
         its recordings; itself where they are already."""
-        compared = found.best.comparison
-        assert compared is not None
-        own = zip(compared.parts, found.noise, strict=True)
+        own = zip(found.best.compared.parts, found.noise, strict=True)
         seen = [c.beside(c.fit(noise).a) for c, noise in own if c.observation.scene.beside]
         if not seen:
             return self
@@ -441,10 +445,9 @@ class Problem:
         self, start: Start, noise: Sequence[NoiseModel]
     ) -> tuple[Array, Array]:
         """Half of the gradient [P] and of the Hessian [P, P] of `value`."""
-        assert start.comparison is not None
         precision, off = self.prior.sd**-2.0, start.vector - self.prior.mean
         gradient, hessian = precision * off, np.diag(precision)
-        for part, compared, own in zip(self.parts, start.comparison.parts, noise, strict=True):
+        for part, compared, own in zip(self.parts, start.compared.parts, noise, strict=True):
             fit, k = compared.fit(own), part.shown
             gradient[k] += fit.gradient
             hessian[np.ix_(k, k)] += fit.hessian

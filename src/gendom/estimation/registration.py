@@ -47,8 +47,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
             vector, comparison, noise = _scanned(problem.coarse)
         else:
             found = gauss_newton(problem, initial=[vector])
-            assert found.best.comparison is not None
-            vector, comparison = found.best.vector, found.best.comparison.parts[0]
+            vector, comparison = found.best.vector, found.best.compared.parts[0]
             noise = found.noise[0]
         change, moved = _motion(comparison, noise)
         T = change @ T

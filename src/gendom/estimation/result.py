@@ -122,15 +122,13 @@ def result_of(
 ) -> FittedEstimate:
     """Everything about a finished search; ``seconds`` are the durations of the stages before [s],
     ``alone`` is empty where it was not computed."""
-    comparison = found.best.comparison
-    assert comparison is not None
     fits, recordings = [], []
     for k, (part, theta) in enumerate(zip(problem.parts, posterior.thetas, strict=True)):
         x = replay(part.scene, [theta])[:, 0]
         whole, seen = chamfers(part.scene, x, theta)
         held = {"name": part.name, "scene": part.scene, "theta": theta, "positions": x}
         fits.append(RecordingFit(**held, chamfer=whole, chamfer_surface=seen))
-        own = fits[k].record(comparison.parts[k], found.noise[k])
+        own = fits[k].record(found.best.compared.parts[k], found.noise[k])
         by_itself = None
         if verdict.usable and alone and "E_over_rho" in alone[k].names:
             ends = list(alone[k].interval("E_over_rho", problem.settings.level))

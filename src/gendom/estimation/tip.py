@@ -37,11 +37,10 @@ def with_tip(problem: Problem, found: Found) -> tuple[Found, Array | float, tupl
         return found, 0.0, ()
     more, uniform = problem.with_unknown("tip_mass"), np.append(best.vector, 0.0)
     descent = Descent(more, GaussNewtonSettings(), found.noise, 0.2, range(len(best.vector)))
-    assert best.comparison is not None
-    (compared,), table = best.comparison.parts, problem.scene.recording.table_height
+    (compared,), table = best.compared.parts, problem.scene.recording.table_height
     leaves = table is None or compared.axis[-1, -1, 2] - table > 1.5 * compared.radius
     way = np.append((np.array(prior.names) == "E_over_rho") * VALLEY[int(leaves)], 1.0)
-    most, tried = more.value(uniform, best.comparison, found.noise) - GAIN, []
+    most, tried = more.value(uniform, best.compared, found.noise) - GAIN, []
     for tip in TIPS:
         vector = more.prior.clipped(uniform + tip * way)
         tried.append(start := Start(initial=vector, vector=vector, precise=False))

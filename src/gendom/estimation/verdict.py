@@ -116,9 +116,8 @@ def judge(
 ) -> Verdict:
     """The verdict of a fit. Reasons that concern one of several recordings begin with its name.
     Posteriors of each recording alone are compared where there are any."""
-    compared, vector, reasons = found.best.comparison, found.best.vector, []
-    assert compared is not None
-    for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
+    compared, vector, reasons = found.best.compared.parts, found.best.vector, []
+    for k, (part, comparison) in enumerate(zip(problem.parts, compared, strict=True)):
         fitted = beyond(_of_fit(part, comparison, found.noise[k], problem.theta(vector, k)))
         faults = _blamed_on_cameras(_of_part(part) + fitted, part, comparison)
         faults += beyond(_improbable(problem, vector, k))

@@ -116,8 +116,7 @@ def gauss_newton(
             raise
         if best.coarse:
             Descent(problem, settings, noise, settings.gain[1]).begin(best)
-        assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise)
+        noise = estimated_noise(best.compared, noise)
     times.append(time.perf_counter())
     parts = zip(("scan", "coarse", "fine"), np.diff(times).tolist(), strict=False)
     return Found(
@@ -158,8 +157,7 @@ def _likeliest(
     if len(ends) == 1:
         return *ends[0], ()
     for s, _ in ends:
-        assert s.comparison is not None
-        s.value = fine.problem.value(s.vector, s.comparison, ends[0][1])
+        s.value = fine.problem.value(s.vector, s.compared, ends[0][1])
     best, noise = min(ends, key=lambda end: end[0].value)
     others = replace(fine, noise=noise).apart(best, [s for s, _ in ends], 1.0)
     return best, noise, tuple(s.vector for s in others)
@@ -215,9 +213,8 @@ class Descent:
             self.begin(best)
         while iteration < most:
             iteration += 1
-            assert best.comparison is not None
-            self.noise = estimated_noise(best.comparison, self.noise)
-            best.value = self.problem.value(best.vector, best.comparison, self.noise)
+            self.noise = estimated_noise(best.compared, self.noise)
+            best.value = self.problem.value(best.vector, best.compared, self.noise)
             best.done = False
             self.step([best])
             self.problem.tell("noise", iteration, most, best)
@@ -225,8 +222,7 @@ class Descent:
                 break
         else:
             self._renew([best])
-        assert best.comparison is not None
-        self.noise = estimated_noise(best.comparison, self.noise)
+        self.noise = estimated_noise(best.compared, self.noise)
 
     def begin(self, start: Start) -> None:
         """Compare a start of the coarse problem in this one, by all unknowns."""
@@ -306,8 +302,7 @@ class Descent:
                 ((compared, values),) = self._tried([s], [tries[k][once:]])
                 tried[k] = tried[k][0] + compared, tried[k][1] + values
         for s, (tries, weight), (compared, values) in zip(going, proposed, tried, strict=True):
-            former = s.comparison
-            assert former is not None
+            former = s.compared
             s.iterations += 1
             best = int(np.argmin(values))
             (vector, gain, damping), closer = tries[best], compared[best]
