@@ -239,12 +239,8 @@ def plan_lift(
     *,
     on_done: Callable[[int, int], None] = lambda done, total: None,
 ) -> LiftPlan:
-    """Compare predefined lifts by the expected posterior of an estimate.
-
-    Args:
-        objects: What may be lifted.
-        settings: Which motions, and for what.
-        on_done: Called with the number of lifts done, and of all.
+    """Compare predefined lifts by the expected posterior of an estimate; ``on_done`` is called with
+    the number of lifts done, and of all.
 
     Raises:
         ParameterError: The material is of another kind, or there is no object of it so large.
@@ -278,12 +274,9 @@ def plan_lift(
 def forecast(
     lying: Recording, material: str | None, seed: Sequence[int]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Expected posterior of an estimate from one lift (as `recorded_lift` has it) of an object
-    drawn from the prior; the same seed gives like objects for other lifts.
-
-    Returns:
-        Standard deviations before and after by keys of `SHOWN`, transformed, and calibrated as the
-        estimator's.
+    """Standard deviations before and after an estimate from one lift (of `recorded_lift`) of an
+    object drawn from the prior, by keys of `SHOWN`, transformed, and calibrated as the estimator's;
+    the same seed gives like objects for other lifts.
 
     Raises:
         SimulationError: The drawn object cannot be simulated.

@@ -93,19 +93,6 @@ def place(
     require(kind in KINDS, what, where=where, fix="use rope or cloth", error=RecordingError)
     if kind == "cloth":
         return _place_cloth(recording, points, notes, lies, cells)
-    length, diameter = _sizes_of_rope(recording, notes)
-    if recording.num_grippers == 1:
-        line = _line_from(recording, length, diameter) if lies is None else lies
-        return _place_rope(recording, points, line, cells, length=length, diameter=diameter)
-    # bodies of the MPM are free of stress as they begin
-    what = "a rope held at both ends is simulated as a rod"
-    require(cells is None, what, where="engine", fix="engine 'thin'")
-    notes.append("held at both ends: straight by nature, as far as is known")
-    return _place_between(recording, points, length, diameter)
-
-
-def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
-    """Length and diameter [m]."""
     length, diameter = recording.object.length, recording.object.diameter
     assert length is not None  # the recording's own check
     if diameter is None:
@@ -115,7 +102,14 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
     what = f"a rope {diameter:g} m thick and {length:g} m long is no rope"
     where, fix = "meta.object", "give both in metres"
     require(diameter <= 0.2 * length, what, where=where, fix=fix, error=RecordingError)
-    return length, diameter
+    if recording.num_grippers == 1:
+        line = _line_from(recording, length, diameter) if lies is None else lies
+        return _place_rope(recording, points, line, cells, length=length, diameter=diameter)
+    # bodies of the MPM are free of stress as they begin
+    what = "a rope held at both ends is simulated as a rod"
+    require(cells is None, what, where="engine", fix="engine 'thin'")
+    notes.append("held at both ends: straight by nature, as far as is known")
+    return _place_between(recording, points, length, diameter)
 
 
 def _place_rope(

@@ -8,6 +8,7 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
+from gendom.materials import KINDS
 from gendom.materials.catalogue import Listed
 from gendom.materials.posterior import half_width
 from gendom.materials.unknowns import UNKNOWNS
@@ -75,9 +76,8 @@ def _delay(recording: Recording) -> dict[str, float]:
 
 def _thickness(described: ObjectDescription) -> dict[str, float]:
     """The prior of a diameter or thickness, as changes to that of `UNKNOWNS`."""
-    stated, sd = described.diameter, described.diameter_sd
-    if described.kind == "cloth":
-        stated, sd = described.thickness, described.thickness_sd
+    small = KINDS[described.kind].sizes[1]
+    stated, sd = getattr(described, small), getattr(described, f"{small}_sd")
     if stated is None:
         sd = UNKNOWN_THICKNESS
     else:
@@ -88,8 +88,7 @@ def _thickness(described: ObjectDescription) -> dict[str, float]:
 
 def thickness_stated(described: ObjectDescription) -> bool:
     """Whether a recording says how thick its object is."""
-    stated = described.diameter if described.kind == "rope" else described.thickness
-    return stated is not None
+    return getattr(described, KINDS[described.kind].sizes[1]) is not None
 
 
 def material_prior(

@@ -15,6 +15,7 @@ import numpy as np
 from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import Recording
+from gendom.datasets.recording_form import SIZES
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
@@ -23,9 +24,7 @@ from gendom.estimation.scene import COARSE_FRAMES, COARSE_POINTS, LiftScene, Sce
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
-SIZES_OF_OBJECT = (
-    "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
-)  # fmt: skip
+SIZES_OF_OBJECT = tuple(size for size in SIZES if not size.startswith("grasp"))
 """Fields of an object's description that all of its recordings share."""
 
 APART = "estimate each by itself"

@@ -332,16 +332,10 @@ def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
     return theta.with_values({"clamp_twist": float(np.clip(found, twists[0], twists[-1]))})
 
 
-def replay_axis(
-    scene: LiftScene,
-    thetas: Sequence[Theta],
-    *,
-    keep_going: bool = False,
-    on_frame: Callable[[int], None] | None = None,
-) -> Array:
-    """As `replay`, of a cable its axis."""
+def replay_axis(scene: LiftScene, thetas: Sequence[Theta], **run: Any) -> Array:
+    """As `replay`, with the options of `Simulator.run`; of a cable its axis."""
     simulator, times = simulator_of(scene, thetas)
-    x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)
+    x = simulator.run(times, **run).astype(float)
     # a thicker object lies higher: its table is raised and its grippers are lowered
     x[..., 2] += np.array([scene.rise(theta.thickness) for theta in thetas])[:, None]
     return x

@@ -113,13 +113,7 @@ class SceneSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LiftScene(Placed):
-    """A recorded object at rest, its grippers, and the frames that are compared.
-
-    A rope lies along its visible centre line, from the gripper on, as long as stated; a cloth is
-    the flat rectangle that holds most of the recorded points, held where the recording says. Held
-    at both ends, a rope that is straight by nature begins as the first frame shows it, as fast as
-    its markers are.
-    """
+    """A recorded object as it begins, its grippers, and the frames that are compared."""
 
     recording: Recording
     settings: SceneSettings
