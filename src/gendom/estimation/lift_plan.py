@@ -23,20 +23,14 @@ from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
 from gendom.datasets.recording_form import joined
 from gendom.errors import RobotError, SimulationError
-from gendom.estimation import (
-    UNKNOWNS,
-    EstimateSettings,
-    IntervalCalibration,
-    LiftScene,
-    Problem,
-    SceneSettings,
-    replay,
-)
+from gendom.estimation.intervals import IntervalCalibration
 from gendom.estimation.methods.search import estimated_noise
-from gendom.estimation.problem import Start
+from gendom.estimation.problem import EstimateSettings, Problem, Start
+from gendom.estimation.replay import replay
+from gendom.estimation.scene import LiftScene, SceneSettings
 from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
 from gendom.materials.posterior import Prior, half_width
-from gendom.materials.unknowns import Theta
+from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible
 from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
 from gendom.reality.objects import description

@@ -248,7 +248,6 @@ class Comparisons:
     """Clouds of all recordings of an object beside simulated shapes."""
 
     parts: tuple[Comparison, ...]
-    """One for each recording."""
 
     @property
     def rms(self) -> float:

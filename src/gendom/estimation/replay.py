@@ -411,10 +411,8 @@ class Shape:
         self.lattice = a, b = lattice(scene)
         if self.rope:
             k = np.arange(len(a) - 1)
-            parts = (np.arange(2) + 0.5) / 2.0
-            u = np.tile(parts, len(k))
-            index = np.repeat(np.stack([k, k + 1], axis=1), len(parts), axis=0)
-            self.samples = index, np.stack([1.0 - u, u], axis=1)
+            index = np.repeat(np.stack([k, k + 1], axis=1), 2, axis=0)
+            self.samples = index, np.tile([[0.75, 0.25], [0.25, 0.75]], (len(k), 1))
             self.spacing = float(a[1] - a[0])
             return
         parts = max(2, round(FEET / max(len(a) - 1, len(b) - 1)))
