@@ -343,17 +343,13 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
     if not isinstance(item, Rope):
         lying = (lying[:, None] + np.outer(ticks, across)).reshape(-1, 3)
     lying[:, 2] = thickness_of(item)
+    held = {"grasp": trial.grasp, "grasp_radius": trial.reach, "grasp_inset": trial.inset}
     return Recording.from_frames(
         [lying] * len(times),
         time=times,
         gripper_position=arm.tcp_at(XARM7, closes + times)[:, :3, 3],
         gripper_closed=[bool(arm.closed_at(closes + t)) for t in times],
-        object=ObjectDescription(
-            **description(item),
-            grasp=trial.grasp,
-            grasp_radius=trial.reach,
-            grasp_inset=trial.inset,
-        ),
+        object=ObjectDescription(**description(item), **held),
         table_height=0.0,
         gripper_source="measured",
         quasi_static=trial.quasi_static,

@@ -54,9 +54,7 @@ PER_BATCH = 2
 class GaussNewtonSettings:
     """What differs between searches; defaults are those of ropes, `of` has those of cloths."""
 
-    leading: tuple[str, ...] = (
-        "E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED,
-    )  # fmt: skip
+    leading: tuple[str, ...] = ("E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED)
     """Unknowns that are free in the coarse stage, so that others do not absorb their effect."""
     gain: tuple[float, float] = (2.0, 0.2)
     """Least gain of a step, in the coarse and in the fine stage, before a start has converged."""
