@@ -147,8 +147,7 @@ def _alone(
 def _scene(
     recording: Recording, settings: EstimateSettings, known: Theta | None, name: str
 ) -> LiftScene:
-    """The scene of a recording; errors name the recording. Its clouds are registered where camera
-    poses are unknown."""
+    """The scene of a recording, registered where camera poses are unknown; errors name it."""
     said = "stated" if recording.cameras_calibrated else "unknown"
     try:
         unknown = (settings.camera_pose or said) == "unknown"

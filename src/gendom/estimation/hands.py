@@ -27,8 +27,7 @@ def along(recording: Recording, inwards: Array) -> Array:
 
 
 def rig_axes(recording: Recording) -> Array:
-    """[3, 3] as rows: level from the first hand to the last one in the mean of a recording, level
-    across, and up."""
+    """[3, 3] as rows: level from the first hand to the last in the mean, level across, and up."""
     ahead = np.diff(recording.gripper_position.mean(axis=0), axis=0)[0, :2]
     size = float(np.linalg.norm(ahead))
     x, y = ahead / size if size > 0.0 else (1.0, 0.0)

@@ -51,8 +51,7 @@ class IntervalCalibration:
     @classmethod
     @functools.cache
     def of(cls, kind: str, frames: str = "all") -> IntervalCalibration:
-        """The shipped one of ropes, cables or cloths, of all frames or, of ropes, of the last one
-        alone."""
+        """The shipped one of ropes, cables or cloths; of ropes also of the last frame alone."""
         place = resources.files("gendom") / "assets" / "calibration.json"
         every = json.loads(place.read_text(encoding="utf-8"))
         read = every.get(f"{kind}-{frames}", every[kind])

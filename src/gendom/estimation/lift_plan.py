@@ -298,8 +298,7 @@ def forecast(
 
 
 def drawn(prior: Prior, rng: np.random.Generator) -> Array:
-    """[P] transformed values drawn from a prior; by name, so that other lifts of an object are
-    drawn alike."""
+    """[P] transformed values drawn from a prior; by name, so that other lifts are drawn alike."""
     shares = dict(zip(UNKNOWNS, rng.random(len(UNKNOWNS)), strict=True))
     ends = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd
     own = [shares[name] for name in prior.names]
@@ -331,8 +330,7 @@ def imagined(
 
 
 def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recording:
-    """The recording of a lift as the arm carries it out, its clouds as if the object had stayed on
-    the table."""
+    """The recording of a lift as the arm carries it out, with clouds of the object left lying."""
     item, layout = trial.item, trial.layout
     closes = next(e.time for e in arm.events if e.closed)
     seconds = end_of(trial, arm) - closes

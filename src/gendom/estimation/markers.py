@@ -77,8 +77,7 @@ def _hands(scene: LiftScene, frames: tuple[int, ...]) -> list[Array]:
 
 @functools.lru_cache(maxsize=64)
 def spread(scene: LiftScene) -> Array:
-    """[n, m] the smoothest change along the rod's points that is 1 at one of m markers and 0 at the
-    others."""
+    """[n, m] the smoothest change along a rod that is 1 at one of m markers and 0 at the others."""
     m, n = len(scene.markers[0]), len(scene.initial)
     at, bend = np.zeros((m, n)), np.diff(np.eye(n), 2, axis=0)
     np.put_along_axis(at, *scene.markers, axis=1)

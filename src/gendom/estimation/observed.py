@@ -13,11 +13,10 @@ from gendom.arrays import Array
 from gendom.estimation.markers import beside_axis
 from gendom.estimation.replay import Shape, held_reach, lattice, middle, nearest_of
 from gendom.estimation.scene import LiftScene
-from gendom.observation import visible
+from gendom.observation import visible, visible_on_sheet
 
 UNKNOWN_SHIFT, UNKNOWN_TURN = 0.05, 0.1
-"""`NoiseModel.shift` and `turn` of cameras with unknown poses [m], [rad], after a coarse
-registration."""
+"""`NoiseModel.shift` and `turn` of cameras with unknown poses, once registered [m], [rad]."""
 
 THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, or thickness of a cloth, and `NoiseModel.skin` of it [m]: mixed depth at
@@ -68,8 +67,7 @@ class NoiseModel:
     """Most iterations of a registration; each pairs points and places again."""
 
     def of(self, scene: LiftScene, any_thickness: bool) -> NoiseModel:
-        """Of a scene's cameras, and of a thin cloth, or rope whose thickness is as stated, not
-        looked for."""
+        """Of a scene's cameras, and of a thin cloth, or rope whose thickness is not looked for."""
         thick, noise = scene.recording.object.diameter, self
         if scene.kind == "cloth":
             thick, any_thickness = scene.body.thickness, False
@@ -211,7 +209,13 @@ class Observation:
         c = np.einsum("mk,mka->ma", share, shape[own])
         if self.shape.rope:
             return visible(c, camera_positions=cameras)
-        return np.ones(len(c), bool) if cameras is None else self.shape.open_to(cameras, shape, c)
+        if cameras is None:
+            return np.ones(len(c), bool)
+        (normals,) = self.shape.normals(shape[None], own[None], share[None])
+        index, weight = self.shape.fine
+        sheet = np.einsum("mk,mka->ma", weight, shape[index])
+        apart = self.shape.spacing
+        return visible_on_sheet(c, normals, sheet, spacing=apart, camera_positions=cameras)
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""

@@ -31,8 +31,7 @@ LINE_PLACES = 200
 
 THICK, THIN = 50.0, 200.0
 """Length over the diameter that is assumed of a rope in motion; and at rest, where points of the
-centre line alone are compared. Thicker rods that bend alike stretch more, thinner ones take longer.
-"""
+centre line alone are compared. Thicker rods that bend alike stretch more, thinner take longer."""
 
 SMOOTHING = 1e3, 1e1, 1.0, 1e-1, 1e-2, 1e-3
 """Weights of its roughness."""
@@ -157,9 +156,8 @@ def _place_between(
 def lost_time(recording: Recording) -> Array:
     """[T] time that is missing in the recorded times by each frame [s].
 
-    A recorder that numbers its frames and loses some states times that are too short: where
-    measured hands leap, with like steps before and after, that took as many intervals as it has
-    such steps.
+    A recorder that numbers frames and loses some states times that are too short: where measured
+    hands leap, with like steps before and after, that took as many intervals as it has such steps.
     """
     time, late = recording.time, np.zeros(recording.num_frames)
     if recording.gripper_source != "measured" or recording.quasi_static or len(time) < 8:

@@ -46,8 +46,7 @@ INSTRUMENTED = (*CLAMPS, "length_ratio", "air_drag")
 
 
 def stated_priors(recording: Recording) -> dict[str, dict[str, float]]:
-    """What a recording says of its own unknowns and of the thickness, as changes to the priors of
-    `UNKNOWNS`."""
+    """What a recording says of its own unknowns and the thickness, as changes to `UNKNOWNS`."""
     described, gripper = recording.object, recording.gripper_source
     inset = described.grasp_inset is not None
     # an arm follows its commands with a delay, and commands are for a point of the hand

@@ -79,8 +79,7 @@ def first_shift(recording: Recording) -> Array:
 
 
 def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
-    """[P] the best fit after registration of a scan over the modulus and all guesses of the grip;
-    and its noise."""
+    """[P] the best registered fit of a scan over the modulus and guesses of the grip; its noise."""
     prior, part = problem.prior, problem.parts[0]
     vectors = [prior.vector(part.base.with_values(guess)) for guess in part.scene.guesses]
     if "E_over_rho" in prior.names:

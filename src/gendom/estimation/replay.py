@@ -17,7 +17,6 @@ from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import COARSE_POINTS, STATIC_SETTLING, STRETCH, LiftScene
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.observation import visible_on_sheet
 from gendom.sim import Gripper, Physics, Solver, Table, Variation
 from gendom.sim.thin import rotation
 
@@ -44,8 +43,7 @@ TURNING, EDGES = 2.0, 48
 edges: thinner ropes are as stiff along as if as thick as those are long, which no bend shows."""
 
 ROPE_REACH, CLOTH_REACH = 0.75, 0.02
-"""Where `grasp_radius` is not stated: of a rope [diameters], and of two fingertips on a cloth [m].
-"""
+"""Where `grasp_radius` is not stated: of a rope [diameters], of two fingertips on a cloth [m]."""
 
 
 @dataclass
@@ -427,8 +425,7 @@ class Shape:
         )
 
     def _places(self, at: Array) -> tuple[Array, Array]:
-        """[..., 4] corners of a sheet's cells, and their shares, at places [2, ...] in cells along
-        both sides."""
+        """[..., 4] corners of a sheet's cells, and shares, at places [2, ...] in cells by side."""
         across, up = (len(k) for k in self.lattice)
         column = np.minimum(at[0], across - 2.0).astype(int)
         row = np.minimum(at[1], up - 2.0).astype(int)
@@ -488,17 +485,6 @@ class Shape:
             step = np.stack([C * f - B * g, A * g - B * f]) / size
             at = np.clip(at + np.clip(step, -1.0, 1.0), 0.0, most)
         return index, weight, foot
-
-    def open_to(self, cameras: Array, x: Array, places: Array) -> Array:
-        """[m] which samples of a sheet [n, 3], at these places [m, 3], a camera sees."""
-        index, weight = self.fine
-        return visible_on_sheet(
-            places,
-            self.normals(x[None], *(part[None] for part in self.samples))[0],
-            np.einsum("mk,mka->ma", weight, x[index]),
-            spacing=self.spacing,
-            camera_positions=cameras,
-        )
 
     def normals(self, x: Array, index: Array, weight: Array) -> Array:
         """[T, m, 3] unit normals of sheets [T, n, 3] at places in cells with corners [T, m, 4], by

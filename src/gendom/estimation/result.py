@@ -94,10 +94,9 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
     seen from above; of a cloth both sides count, which lie where the cloud is.
     """
     skins, cameras = scene.body_of(theta).surface(x), scene.recording.camera_positions
+    seen = list(skins)
     if scene.kind == "rope" or cameras is not None:
         seen = [skin[visible(skin, camera_positions=cameras)] for skin in skins]
-    else:
-        seen = list(skins)
     return _chamfer(scene, skins if scene.thin else x), _chamfer(scene, seen)
 
 

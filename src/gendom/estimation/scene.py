@@ -132,8 +132,7 @@ class LiftScene(Placed):
     limp: bool = False
     """Whether it is a rope that bends over so little that it has more points than others."""
     registration: Array | None = None
-    """[4, 4] by which the recording's clouds were moved [m]; None: the stated camera poses are
-    taken."""
+    """[4, 4] by which the recording's clouds were moved [m]; None: camera poses are as stated."""
     notes: tuple[str, ...] = ()
     """What was assumed."""
 
@@ -273,15 +272,13 @@ class LiftScene(Placed):
         return bending_length(E_over_rho, thickness * self.radius_of_gyration, STANDARD_GRAVITY)
 
     def density_of(self, theta: Theta) -> float:
-        """Of an object that is as thick as estimated; of a stated mass, where there is one
-        [kg/m^3]."""
+        """[kg/m^3] of an object as thick as estimated; of the stated mass, where there is one."""
         if self.recording.object.mass is None:
             return self.density
         return self.density / theta.thickness ** (2 if self.kind == "rope" else 1)
 
     def rise(self, times: float) -> float:
-        """How much higher the middle of an object that is so many times as thick as stated lies on
-        its table [m]."""
+        """How much higher the middle of an object so many times as thick lies on its table [m]."""
         if self.recording.table_height is None or len(self.held) > 1:
             return 0.0
         return 0.5 * (times - 1.0) * self.body.thickness
@@ -314,8 +311,7 @@ class LiftScene(Placed):
         return SHELL_ERROR * (apart / bends) ** 3
 
     def body_of(self, theta: Theta) -> Body:
-        """The body with the estimated thickness, for display; simulations take the stated
-        thickness."""
+        """The body as thick as estimated, for display; simulations take the stated thickness."""
         return replace(self.body, thickness=theta.thickness * self.body.thickness)
 
     def E_over_rho(self, bending: float) -> float:
@@ -544,8 +540,7 @@ def _lifted(recording: Recording, frames: tuple[int, ...]) -> tuple[int, ...]:
 def _compared(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Frames in which the object is carried slowly, and those in which it moves fast, not too many
-    of each."""
+    """Frames in which the object is carried slowly, and moves fast; not too many of each."""
     time, path = recording.time, recording.gripper_position
     fast = np.zeros(recording.num_frames, dtype=bool)
     if not recording.quasi_static and recording.num_frames > 1:

@@ -205,8 +205,7 @@ class Descent:
         return iteration
 
     def converge(self, best: Start, iteration: int, most: int) -> None:
-        """Steps of a start of the coarse problem, in turns with estimates of the noise, in what so
-        many iterations leave."""
+        """Steps of a start, in turns with estimates of the noise, up to so many iterations."""
         if best.coarse:
             self.begin(best)
         while iteration < most:
