@@ -314,7 +314,7 @@ class Fit:
         return replace(noise, sensor=sensor, model=model, patch=patch)
 
     def updated_noise(self, rounds: int) -> NoiseModel:
-        """Noise of higher likelihood, by rounds of expectation and maximisation of fixed pairs."""
+        """Noise of higher likelihood: rounds of expectation and maximisation with fixed pairs."""
         noise, S, R, prior = self.noise, self.smooth, len(self.a), self.precision.copy()
         # of the residuals alone, in m^2
         D, slope = self.products[:R, :R] / noise.patch, self.products[:R, R] / noise.patch
