@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from gendom.cli import main
@@ -28,18 +29,20 @@ FIXED = ["rope", "--length", "0.25", "--diameter", "0.012"]
 
 @pytest.mark.slow
 def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
-    """The estimate from the simulated clouds themselves has the deviations that were forecast, of a
-    diameter that is known."""
-    clouds, imagined = [], lift_plan.imagined
+    """Estimates from the simulated clouds themselves have the deviations that were forecast, of a
+    diameter that is known, in the median of five objects; steps along a curved valley differ."""
+    clouds, imagined, ratios = [], lift_plan.imagined, []
     monkeypatch.setattr(lift_plan, "imagined", lambda *a: clouds.extend(imagined(*a)) or clouds)
     trial = lift(as_real(ROPES.at(0.5)), LiftMotion(kind="rope", rise=1.0, speed=0.1, end="swing"))
     lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path), 30.0)
-    _, sd = lift_plan.forecast(lying, None, [3])
-    measured = replace(clouds[0], object=replace(clouds[0].object, diameter_sd=1e-5))
-    found = estimate(measured, EstimateSettings(starts=1, scene=SceneSettings(threads=1)))
-    assert found.usable
-    for name, unknown in SHOWN.items():
-        assert found.posterior.sd(unknown) == pytest.approx(sd[name], rel=0.25), name
+    for seed in range(3, 8):
+        clouds.clear()
+        _, sd = lift_plan.forecast(lying, None, [seed])
+        measured = replace(clouds[0], object=replace(clouds[0].object, diameter_sd=1e-5))
+        found = estimate(measured, EstimateSettings(starts=1, scene=SceneSettings(threads=1)))
+        assert found.usable
+        ratios.append([found.posterior.sd(unknown) / sd[name] for name, unknown in SHOWN.items()])
+    np.testing.assert_allclose(np.median(ratios, axis=0), 1.0, rtol=0.25)
 
 
 def predicted(end, *sds):

@@ -23,11 +23,12 @@ from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
 from gendom.datasets.recording_form import joined
 from gendom.errors import RobotError, SimulationError
-from gendom.estimation.intervals import IntervalCalibration
+from gendom.estimation.intervals import IntervalCalibration, posterior_of
 from gendom.estimation.methods.search import estimated_noise
-from gendom.estimation.problem import EstimateSettings, Problem, Start
+from gendom.estimation.problem import EstimateSettings, Found, Problem, Start
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene, SceneSettings
+from gendom.estimation.tip import with_tip
 from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
 from gendom.materials.posterior import Prior, half_width
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -288,9 +289,9 @@ def forecast(
         raise SimulationError(f"a drawn {lying.object.kind} could not be simulated")
     start = Start(initial=truth, vector=truth, comparison=comparison)
     noise = estimated_noise(comparison, problem.first_noise())
-    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
-    calibration = IntervalCalibration.of(scene.kind)
-    posterior = calibration.posterior(prior, truth, covariance, problem.bases)
+    found = Found(best=start, starts=[start], noise=noise)
+    _, added, _ = with_tip(problem, found)
+    posterior = posterior_of(problem, found, IntervalCalibration.of(scene.kind), added)
     before = {name: float(scene.prior((unknown,))[0].sd[0]) for name, unknown in SHOWN.items()}
     # unknowns that such a recording does not determine keep their priors
     own = {name: posterior.sd(u) for name, u in SHOWN.items() if u in prior.names}
