@@ -126,7 +126,7 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
         Unknown(
             "nu", "nu", "1", "Poisson's ratio",
-            low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
+            low=0.05, high=0.45, mean=0.3, sd=0.1, step=0.02, widest=0.1, material=True,
             label="Poisson's ratio", form=".3f", on_object=_with("nu"),
         ),
         # log-uniform 0.5 to 50 ms has this mean and deviation
