@@ -104,6 +104,7 @@ def test_when_a_path_begins_changes_nothing():
 
 
 def test_path_out_of_reach_names_its_time(monkeypatch):
+    monkeypatch.setattr(planning, "_POSTURES", 2)
     path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
         follow(XARM7, path)
