@@ -4,6 +4,7 @@ recordings and calibrations with faults, and the tables of what was said of them
 import json
 import math
 import re
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -139,7 +140,8 @@ def test_recordings_of_others_are_read_with_their_truths(rope_lift, tmp_path, ta
 @pytest.mark.skipif(not find_spec("mujoco"), reason="needs the extra `reality`")
 def test_ropes_turn_in_soft_fingers_and_have_heavy_tips():
     reality = import_module("gendom.reality")
-    run = reality.TrialRun(reality.lift(draw_object("rope", 200)))
+    trial = replace(reality.lift(draw_object("rope", 200)), timestep=1e-3)
+    run = reality.TrialRun(trial)
     masses, at = run.world.model.body_mass, run.world.model.flex_vertbodyid
     before = masses[at].copy()
     HELD["tip-15"](run)
