@@ -140,8 +140,7 @@ def test_recordings_of_others_are_read_with_their_truths(rope_lift, tmp_path, ta
 @pytest.mark.skipif(not find_spec("mujoco"), reason="needs the extra `reality`")
 def test_ropes_turn_in_soft_fingers_and_have_heavy_tips():
     reality = import_module("gendom.reality")
-    trial = replace(reality.lift(draw_object("rope", 200)), timestep=1e-3)
-    run = reality.TrialRun(trial)
+    run = reality.TrialRun(replace(reality.lift(draw_object("rope", 200)), timestep=1e-3))
     masses, at = run.world.model.body_mass, run.world.model.flex_vertbodyid
     before = masses[at].copy()
     HELD["tip-15"](run)

@@ -52,8 +52,7 @@ def make_camera(name="left", eye=(0.0, -0.65, 0.47), target=(0.0, 0.0, 0.1), **o
 
 @dataclass
 class Rope:
-    """A chain of capsules along points [M, 3]: with two a robot's link. Rays are of length 1 or
-    more."""
+    """A chain of capsules along points [M, 3]: with two a robot's link. Rays: 1 long or longer."""
 
     line: np.ndarray
     radius: float = 0.005

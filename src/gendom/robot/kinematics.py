@@ -182,8 +182,7 @@ def _step(
     far = np.sqrt((e * e).sum(axis=1))
     e = e * np.minimum(1.0, 0.3 / np.maximum(far, 1e-12))[:, None]
     damping = (_DAMPING**2 * np.minimum(far, 0.3) + 1e-10)[:, None, None] * _IDENTITY
-    free = np.ones(q.shape, dtype=bool)
-    towards = homing * (rest - q)
+    free, towards = np.ones(q.shape, dtype=bool), homing * (rest - q)
     for _ in range(3):
         # Joints that would leave their range are fixed, and the others compensate.
         Jf = J * free[:, None, :]
