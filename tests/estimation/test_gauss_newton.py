@@ -47,14 +47,12 @@ def test_its_slope_is_that_of_differences(problem, found):
     assert slope == pytest.approx(differences, abs=0.15 * np.abs(differences).max())
 
 
-def test_it_keeps_what_it_did(rope_lift, problem, found):
+def test_it_keeps_what_it_did(found):
     """Both starts, of which the better one went on; the noise of the clouds."""
     assert len(found.starts) == 2 and not found.interrupted
     assert abs(found.starts[0].initial[0] - found.starts[1].initial[0]) > 0.1
     assert [s.coarse for s in found.starts] == [s is not found.best for s in found.starts]
     assert found.noise[0].sensor == pytest.approx(1e-3, rel=0.2)
-    modulus = problem.theta(found.best.vector).E_over_rho
-    assert modulus == pytest.approx(rope_lift.truth.E_over_rho, rel=0.05)
 
 
 def test_a_step_that_meets_a_bound_goes_along_it():

@@ -82,7 +82,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(runs):
 
 def test_generalization_has_both_domains_and_what_r2s2r_found(runs):
     settings = ablation_module.Settings(
-        demonstrations=200, epochs=3, goals=(6,), seeds=1, steps=20, refine=1
+        demonstrations=100, epochs=3, goals=(6,), seeds=1, steps=20, refine=1
     )
     result = generalization(runs, settings)
     for domain in ("in domain", "outside"):

@@ -52,18 +52,18 @@ def make_camera(name="left", eye=(0.0, -0.65, 0.47), target=(0.0, 0.0, 0.1), **o
 
 @dataclass
 class Rope:
-    """A chain of capsules along points [M, 3]: with two a robot's link."""
+    """A chain of capsules along points [M, 3]: with two a robot's link. Rays: 1 long or longer."""
 
     line: np.ndarray
     radius: float = 0.005
     colour: tuple = RED
 
     def hit(self, origin, d):
-        t, length2 = np.full(len(d), np.inf), np.einsum("ij,ij->i", d, d)
+        t = np.full(len(d), np.inf)
         for a, b in pairwise(np.asarray(self.line) - origin):
             # Only rays near the link are worth the work.
             middle, reach = (a + b) / 2, np.linalg.norm(b - a) / 2 + self.radius
-            near = np.flatnonzero((d @ middle) ** 2 >= length2 * (middle @ middle - reach**2))
+            near = np.flatnonzero(d @ middle >= max(middle @ middle - reach**2, 0.0) ** 0.5)
             t[near] = np.minimum(t[near], _capsule(-a, b - a, self.radius, d[near]))
         return t
 
@@ -131,8 +131,13 @@ class Scene:
         """What a camera with such a sensor sees."""
         R, origin = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
         d = camera.rays() @ R.T
-        t = np.array([thing.hit(origin, d) for thing in self.things])
-        which, z = t.argmin(axis=0), t.min(axis=0)
+        far = np.linalg.norm(d, axis=1)
+        d /= far[:, None]
+        z, which = np.full(len(d), np.inf), np.zeros(len(d), int)
+        for k, thing in enumerate(self.things):
+            t = thing.hit(origin, d) / far
+            which[t < z] = k
+            z = np.minimum(z, t)
         rng = np.random.default_rng(seed)
         colours = np.array([thing.colour for thing in self.things])[which].astype(float)
         colours = np.clip(colours * rng.uniform(0.75, 1.1, (len(z), 1)), 0, 255)

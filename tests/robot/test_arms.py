@@ -47,9 +47,11 @@ def gripper_surface(opening):
 
 def from_segments(points, a, b):
     """[N, C] distances of points from segments."""
-    axis, off = b - a, points[:, None] - a
-    share = np.clip((off * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12), 0.0, 1.0)
-    return np.linalg.norm(off - share[..., None] * axis, axis=-1)
+    axis, length2 = b - a, ((b - a) ** 2).sum(axis=1)
+    along = points @ axis.T - (a * axis).sum(axis=1)
+    share = np.clip(along / np.maximum(length2, 1e-12), 0.0, 1.0)
+    from_a2 = (points**2).sum(axis=1)[:, None] - 2.0 * points @ a.T + (a**2).sum(axis=1)
+    return np.sqrt(np.maximum(from_a2 + share * (share * length2 - 2.0 * along), 0.0))
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.03, 0.084])

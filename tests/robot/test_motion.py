@@ -81,8 +81,9 @@ CORNERS = [[0.4, -0.1, 0.2], [0.6, -0.1, 0.2], [0.6, 0.1, 0.2], [0.4, 0.1, 0.2]]
     ],
     ids=["line", "corners", "lift", "to the end of reach"],
 )  # fmt: skip
-def test_what_is_asked_too_fast_is_done_slower_on_the_same_path(asked, longest):
+def test_what_is_asked_too_fast_is_done_slower_on_the_same_path(asked, longest, monkeypatch):
     """A lift by 0.225 m keeps its pauses; at 1 m/s the rest would take 0.225 s without mass."""
+    monkeypatch.setattr(planning, "_POSTURES", 2)
     motion = follow(XARM7, asked)
     motion.check_limits(XARM7)
     assert motion.slowed_by > 1.0 and off_the_path(asked, motion) < 1e-4
@@ -104,6 +105,7 @@ def test_when_a_path_begins_changes_nothing():
 
 
 def test_path_out_of_reach_names_its_time(monkeypatch):
+    monkeypatch.setattr(planning, "_POSTURES", 2)
     path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
         follow(XARM7, path)

@@ -23,6 +23,7 @@ squares the error."""
 
 ANGLE_LENGTH = 0.3  # [m/rad]; a rotation of the tool counts as this movement
 _WEIGHT = np.repeat([1.0, ANGLE_LENGTH], 3)  # of pose errors
+_IDENTITY = np.eye(6)
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
 _ITERATIONS, _STARTS = 100, 23
@@ -72,8 +73,8 @@ def jacobian(arm: Arm, q: ArrayLike) -> Array:
 
 def _jacobian(poses: Array) -> Array:
     J = np.empty((*poses.shape[:-3], 6, poses.shape[-3] - 2))
-    x, y, z = np.moveaxis(poses[..., -1:, :3, 3] - poses[..., 1:-1, :3, 3], -1, 0)
-    ax, ay, az = np.moveaxis(poses[..., 1:-1, :3, 2], -1, 0)
+    x, y, z = (poses[..., -1:, k, 3] - poses[..., 1:-1, k, 3] for k in range(3))
+    ax, ay, az = (poses[..., 1:-1, k, 2] for k in range(3))
     J[..., 0, :], J[..., 1, :], J[..., 2, :] = ay * z - az * y, az * x - ax * z, ax * y - ay * x
     J[..., 3, :], J[..., 4, :], J[..., 5, :] = ax, ay, az
     return J
@@ -180,9 +181,8 @@ def _step(
     e = error * _WEIGHT
     far = np.sqrt((e * e).sum(axis=1))
     e = e * np.minimum(1.0, 0.3 / np.maximum(far, 1e-12))[:, None]
-    damping = (_DAMPING**2 * np.minimum(far, 0.3) + 1e-10)[:, None, None] * np.eye(6)
-    free = np.ones(q.shape, dtype=bool)
-    towards = homing * (rest - q)
+    damping = (_DAMPING**2 * np.minimum(far, 0.3) + 1e-10)[:, None, None] * _IDENTITY
+    free, towards = np.ones(q.shape, dtype=bool), homing * (rest - q)
     for _ in range(3):
         # Joints that would leave their range are fixed, and the others compensate.
         Jf = J * free[:, None, :]
