@@ -173,7 +173,10 @@ class Run:
         e, own, which = self._engine, self._launches, (group.start, group.stop)
         if which not in own:
             given = [e.device_model, e.device_paths, self.on_device]
-            own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
+            if e.abreast:
+                own[which] = wp.launch(e.kernels.advance_abreast, dim=group.stop-group.start, inputs=[group.start, group.stop, *given], device="cpu", record_cmd=True)
+            else:
+                own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
         e.first = None
         own[which].launch()
 

@@ -303,6 +303,68 @@ def make_kernels(
                             )
                 native.block_sync()
 
+    @wp.func
+    def steps_of(run: ThinRun, w: int, p: int) -> int:
+        """How many a world takes in a piece; 0 if it has stopped or has none."""
+        count = int(0)
+        if run.stopped[w] < 0 and p >= run.piece[w, 0] and p < run.piece[w, 1]:
+            count = run.steps[w, p]
+        return count
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def advance_abreast(first: int, end: int, model: ThinModel, paths: Paths, run: ThinRun):
+        """As ``advance`` for rods without contact on the CPU, each in a lane."""
+        if wp.tid() % native.lanes() != 0:
+            return
+        w = first + wp.tid()
+        count = wp.min(native.lanes(), end - w)
+        native.board(model, w, count, run.state)
+        from_piece = int(run.piece[w, 0])
+        to_piece = int(run.piece[w, 1])
+        for l in range(count):
+            if run.span.shape[0] > 0:
+                divide(run, w + l)
+            from_piece = wp.min(from_piece, run.piece[w + l, 0])
+            to_piece = wp.max(to_piece, run.piece[w + l, 1])
+        for p in range(from_piece, to_piece):
+            most = int(0)
+            moving = int(0)
+            for l in range(count):
+                most = wp.max(most, steps_of(run, w + l, p))
+                for g in range(model.holds.shape[1]):
+                    t = run.begins[w + l, p]
+                    if paths_of.is_closed(w + l, g, t, paths):
+                        if paths_of.moves(w + l, g, t, end_of(run, w + l, p, run.steps[w + l, p]), paths):
+                            moving |= 1 << g
+            for k in range(most):
+                for l in range(count):
+                    steps = steps_of(run, w + l, p)
+                    if k == steps:
+                        native.alight(model, w, l, run.state, w + l)
+                    if k < 2 and k < steps:
+                        native.set_pace(model, w, l, real(run.dt[w + l, p]), kick_of(run, w + l, p, k))
+                    for g in range(model.holds.shape[1]):
+                        if k < steps and (k == 0 or (moving >> g) & 1 == 1):
+                            centre, q, _knot = paths_of.placed(w + l, g, end_of(run, w + l, p, k), paths)
+                            native.set_pose(model, w, l, g, vec3(centre), quat(q))
+                native.step_abreast(model, w)
+                for l in range(count):
+                    steps = steps_of(run, w + l, p)
+                    if k + 1 == steps or (k < steps and (k + 1) % CHECKED == 0):
+                        if native.overstretched(model, w, l, limit, mean_limit) != 0:
+                            run.stopped[w + l] = p
+                            run.stopped_at[w + l] = end_of(run, w + l, p, k)
+                            native.alight(model, w, l, run.state, w + l)
+            for l in range(count):
+                if steps_of(run, w + l, p) < most:
+                    native.reboard(model, w, l, run.state, w + l)
+                f = run.frame[w + l, p]
+                if f >= 0 and run.stopped[w + l] < 0:
+                    for k in range(run.points.shape[0]):
+                        run.frames[f, w + l, k] = native.seen(model, w, l, run.points[k])
+        for l in range(count):
+            native.alight(model, w, l, run.state, w + l)
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def reverse(
         first: int,

@@ -15,7 +15,7 @@ from gendom.sim.thin.types import make_types
 MODULE_OPTIONS = module_options(
     __name__,
     "surroundings.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "registers.h",
-    "shell.h",
+    "abreast.h", "shell.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
 
@@ -96,6 +96,35 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
         model: ThinModel, w: int, own: wp.ref[Registers], holds: Holds, ahead: int, apart: int,
         dt: real, kick: real, shares: vec3,
     ) -> real: ...  # fmt: skip
+
+    # rods side by side
+
+    @wp.func_native(f"return gendom::abreast<{number}>::lanes;")
+    def lanes() -> int: ...
+
+    @wp.func_native("gendom::board(model, w, count, state);")
+    def board(model: ThinModel, w: int, count: int, state: rows): ...
+
+    @wp.func_native("gendom::alight(model, w, l, state, row);")
+    def alight(model: ThinModel, w: int, l: int, state: rows, row: int): ...
+
+    @wp.func_native("gendom::reboard(model, w, l, state, row);")
+    def reboard(model: ThinModel, w: int, l: int, state: rows, row: int): ...
+
+    @wp.func_native("gendom::set_pace(model, w, l, dt, kick);")
+    def set_pace(model: ThinModel, w: int, l: int, dt: real, kick: real): ...
+
+    @wp.func_native("gendom::set_pose(model, w, l, g, centre, turned);")
+    def set_pose(model: ThinModel, w: int, l: int, g: int, centre: vec3, turned: quat): ...
+
+    @wp.func_native(f"gendom::step_abreast<{number}>(model, w);")
+    def step_abreast(model: ThinModel, w: int): ...
+
+    @wp.func_native("return gendom::overstretched(model, w, l, limit, mean_limit);")
+    def overstretched(model: ThinModel, w: int, l: int, limit: real, mean_limit: real) -> int: ...
+
+    @wp.func_native(f"return gendom::seen<{number}>(model, w, l, i);")
+    def seen(model: ThinModel, w: int, l: int, i: int) -> vec3: ...
 
     # contact of a body with itself; kernels with rods in registers have no shared memory for it
 

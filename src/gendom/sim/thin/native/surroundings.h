@@ -152,6 +152,8 @@ template <typename T> struct surroundings {
     CUDA_CALLABLE inline surroundings(const Model& model, int w, real dt)
         : h(T(dt)), mu(T(wp::index(model.friction, w))), radius(T(model.radius)), table(model.table),
           count(model.obstacles.shape[1]), first(count ? &wp::index(model.obstacles, w, 0, 0) : nullptr) {}
+    CUDA_CALLABLE inline surroundings(const T& h, const T& mu, const T& radius, bool table)
+        : h(h), mu(mu), radius(radius), table(table), count(0), first(nullptr) {}
 
     CUDA_CALLABLE inline const real* of(int o) const { return first + o * OBSTACLE; }
     CUDA_CALLABLE inline touch<T, near_obstacle<T>> touched(int o, const vec<T>& x, const vec<T>& v) const {
@@ -236,6 +238,8 @@ template <typename T> struct motion {
     template <typename Model>
     CUDA_CALLABLE inline motion(const Model& model, int w, real dt, real kick, real keep)
         : h(T(dt)), kick(T(kick)), keep(T(keep)), gravity(gravity_of<T>(model, w)), around(model, w, dt) {}
+    CUDA_CALLABLE inline motion(const T& kick, const T& keep, const vec<T>& gravity, const surroundings<T>& around)
+        : h(around.h), kick(kick), keep(keep), gravity(gravity), around(around) {}
 
     CUDA_CALLABLE inline vec<T> free(const vec<T>& v0, const T& per_mass, const vec<T>& f) const {
         return keep * (v0 + kick * (per_mass * f + gravity));
