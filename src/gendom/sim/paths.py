@@ -119,7 +119,8 @@ def make_paths(real: Any) -> SimpleNamespace:
         last, _v = knot_before(w, g, end, paths)
         found = paths.turns[w, g] == 1
         for knot in range(first, last + 1):
-            if wp.length_sq(paths.position[w, g, knot + 1] - paths.position[w, g, knot]) > wp.float64(0.0):
+            gone = paths.position[w, g, knot + 1] - paths.position[w, g, knot]
+            if wp.length_sq(gone) > wp.float64(0.0):
                 found = True
         return found
 

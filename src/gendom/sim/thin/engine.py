@@ -36,7 +36,7 @@ OTHER_SHARED = 16384
 """What kernels have in shared memory beside the scratch, at most [bytes]."""
 
 LANES = 16
-"""Of a CPU's SIMD registers, at most."""
+"""Of a CPU's SIMD register, at most."""
 
 GROUP, SHARES = 16, 32
 """Maximum number of worlds that a CPU thread simulates at a time, of many a share of all."""
@@ -66,8 +66,8 @@ class ThinEngine(Engine):
         self.held = -(-n // 32) if s.device.is_cuda and short and not s.self_contact else 0
         """Points of a rod that a thread's registers hold; 0: its state is in memory."""
         alone = m.kind == "rod" and not s.self_contact and not any(s.obstacles)
-        self.abreast = alone and W >= LANES and not s.device.is_cuda
-        """Whether worlds are simulated side by side, each in a lane."""
+        self.abreast = s.abreast and alone and not s.device.is_cuda
+        """Whether worlds are side by side in the lanes of a CPU."""
         self.kernels = make_kernels(self.real, m.kind, self.held, *self._room())
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
         """Of a world."""
@@ -443,12 +443,11 @@ class ThinEngine(Engine):
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
             friction=spread(friction, (W,), "friction"), **of_points,
         )  # fmt: skip
-        shape = W, m.scratch_rows, self.row_length
-        if self.abreast:
-            G = self.closed.shape[1]
-            total = 100 + 7 * G + 36 * (n + 2) + 10 * (n * G + 1)
-            shape = W + 2 * LANES, -(-total // self.row_length), self.row_length
-        made.scratch = self.zeros(shape)
+        rows, more = m.scratch_rows, 0
+        if self.abreast:  # see ``native/abreast.h``: the last train needs no less room than others
+            numbers = 28 + 7 * self.closed.shape[1] + 36 * (n + 2) + 10 * (self.holds[0].size + 1)
+            rows, more = max(rows, -(-numbers // self.row_length)), LANES
+        made.scratch = self.zeros((W + more, rows, self.row_length))
         made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         paths = dict(Grippers.of(s.obstacles).arrays)
         paths["position"] = paths["position"] - self.origin

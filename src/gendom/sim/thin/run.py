@@ -173,10 +173,11 @@ class Run:
         e, own, which = self._engine, self._launches, (group.start, group.stop)
         if which not in own:
             given = [e.device_model, e.device_paths, self.on_device]
-            if e.abreast:
-                own[which] = wp.launch(e.kernels.advance_abreast, dim=group.stop-group.start, inputs=[group.start, group.stop, *given], device="cpu", record_cmd=True)
+            if e.abreast and self.on_device.every < 0:
+                kernel, given = e.kernels.advance_abreast, [group.stop, *given]
             else:
-                own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
+                kernel = e.kernels.advance
+            own[which] = e.launch(kernel, group, given, record_cmd=True)
         e.first = None
         own[which].launch()
 

@@ -304,66 +304,97 @@ def make_kernels(
                 native.block_sync()
 
     @wp.func
+    def goes_on(run: ThinRun, w: int, p: int) -> bool:
+        """Whether a piece is one of a world's next ones."""
+        return run.stopped[w] < 0 and p >= run.piece[w, 0] and p < run.piece[w, 1]
+
+    @wp.func
     def steps_of(run: ThinRun, w: int, p: int) -> int:
-        """How many a world takes in a piece; 0 if it has stopped or has none."""
+        """How many steps a world takes in a piece."""
         count = int(0)
-        if run.stopped[w] < 0 and p >= run.piece[w, 0] and p < run.piece[w, 1]:
+        if goes_on(run, w, p):
             count = run.steps[w, p]
         return count
 
+    @wp.func
+    def that_move(model: ThinModel, w: int, p: int, paths: Paths, run: ThinRun) -> int:
+        """Bits of the grippers that move in a piece."""
+        found = int(0)
+        for g in range(model.holds.shape[1]):
+            begin, end = run.begins[w, p], end_of(run, w, p, run.steps[w, p])
+            if paths_of.is_closed(w, g, begin, paths) and paths_of.moves(w, g, begin, end, paths):
+                found |= 1 << g
+        return found
+
+    @wp.func
+    def prepare(
+        model: ThinModel, paths: Paths, run: ThinRun, w: int, l: int, p: int, k: int, moving: int
+    ):  # fmt: skip
+        """Set what is new in step k of lane l of the train of world w, or keep its state if it has
+        no such step."""
+        own, count = w + l, steps_of(run, w + l, p)
+        if k == count:
+            native.alight(model, w, l, run.state, own)
+        if k < count and k < 2:
+            native.set_pace(model, w, l, real(run.dt[own, p]), kick_of(run, own, p, k))
+        for g in range(model.holds.shape[1]):
+            if k < count and (k == 0 or (moving >> g) & 1 == 1):
+                centre, q, _knot = paths_of.placed(own, g, end_of(run, own, p, k), paths)
+                native.set_pose(model, w, l, g, vec3(centre), quat(q))
+
+    @wp.func
+    def look_at(model: ThinModel, run: ThinRun, w: int, l: int, p: int, k: int):
+        """Stop a world that has exceeded a limit by the end of step k."""
+        own, count = w + l, steps_of(run, w + l, p)
+        if k + 1 == count or (k < count and (k + 1) % CHECKED == 0):
+            if native.overstretched(model, w, l, limit, mean_limit) != 0:  # noqa: SIM102
+                run.stopped[own] = p
+                run.stopped_at[own] = end_of(run, own, p, k)
+                native.alight(model, w, l, run.state, own)
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def advance_abreast(first: int, end: int, model: ThinModel, paths: Paths, run: ThinRun):
-        """As ``advance`` for rods without contact on the CPU, each in a lane."""
+    def advance_abreast(
+        first: int, threads: int, end: int, model: ThinModel, paths: Paths, run: ThinRun
+    ):  # fmt: skip
+        """As ``advance`` of rods that meet neither obstacles nor themselves, each in a lane of a
+        CPU. Those with fewer steps in a piece wait for others where they were."""
         if wp.tid() % native.lanes() != 0:
             return
         w = first + wp.tid()
-        count = wp.min(native.lanes(), end - w)
-        native.board(model, w, count, run.state)
-        from_piece = int(run.piece[w, 0])
-        to_piece = int(run.piece[w, 1])
-        for l in range(count):
+        lanes = wp.min(native.lanes(), end - w)
+        state = run.state
+        native.board(model, w, lanes, state)
+        first_piece = int(run.piece[w, 0])
+        last_piece = int(run.piece[w, 1])
+        for l in range(lanes):
             if run.span.shape[0] > 0:
                 divide(run, w + l)
-            from_piece = wp.min(from_piece, run.piece[w + l, 0])
-            to_piece = wp.max(to_piece, run.piece[w + l, 1])
-        for p in range(from_piece, to_piece):
-            most = int(0)
-            moving = int(0)
-            for l in range(count):
+            first_piece = wp.min(first_piece, run.piece[w + l, 0])
+            last_piece = wp.max(last_piece, run.piece[w + l, 1])
+        for p in range(first_piece, last_piece):
+            most, moving = int(0), int(0)
+            least = steps_of(run, w, p)
+            for l in range(lanes):
+                least = wp.min(least, steps_of(run, w + l, p))
                 most = wp.max(most, steps_of(run, w + l, p))
-                for g in range(model.holds.shape[1]):
-                    t = run.begins[w + l, p]
-                    if paths_of.is_closed(w + l, g, t, paths):
-                        if paths_of.moves(w + l, g, t, end_of(run, w + l, p, run.steps[w + l, p]), paths):
-                            moving |= 1 << g
+                moving |= that_move(model, w + l, p, paths, run)
             for k in range(most):
-                for l in range(count):
-                    steps = steps_of(run, w + l, p)
-                    if k == steps:
-                        native.alight(model, w, l, run.state, w + l)
-                    if k < 2 and k < steps:
-                        native.set_pace(model, w, l, real(run.dt[w + l, p]), kick_of(run, w + l, p, k))
-                    for g in range(model.holds.shape[1]):
-                        if k < steps and (k == 0 or (moving >> g) & 1 == 1):
-                            centre, q, _knot = paths_of.placed(w + l, g, end_of(run, w + l, p, k), paths)
-                            native.set_pose(model, w, l, g, vec3(centre), quat(q))
+                if k < 2 or k >= least or moving != 0:
+                    for l in range(lanes):
+                        prepare(model, paths, run, w, l, p, k, moving)
                 native.step_abreast(model, w)
-                for l in range(count):
-                    steps = steps_of(run, w + l, p)
-                    if k + 1 == steps or (k < steps and (k + 1) % CHECKED == 0):
-                        if native.overstretched(model, w, l, limit, mean_limit) != 0:
-                            run.stopped[w + l] = p
-                            run.stopped_at[w + l] = end_of(run, w + l, p, k)
-                            native.alight(model, w, l, run.state, w + l)
-            for l in range(count):
+                if k + 1 >= least or (k + 1) % CHECKED == 0:
+                    for l in range(lanes):
+                        look_at(model, run, w, l, p, k)
+            for l in range(lanes):
                 if steps_of(run, w + l, p) < most:
-                    native.reboard(model, w, l, run.state, w + l)
+                    native.reboard(model, w, l, state, w + l)
                 f = run.frame[w + l, p]
-                if f >= 0 and run.stopped[w + l] < 0:
+                if f >= 0 and goes_on(run, w + l, p):
                     for k in range(run.points.shape[0]):
                         run.frames[f, w + l, k] = native.seen(model, w, l, run.points[k])
-        for l in range(count):
-            native.alight(model, w, l, run.state, w + l)
+        for l in range(lanes):
+            native.alight(model, w, l, state, w + l)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def reverse(

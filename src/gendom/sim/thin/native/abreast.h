@@ -8,7 +8,7 @@ namespace gendom {
 // What a lane has of each point: its state, then the model's rows as in `registers.h`.
 constexpr int point_rows = state_rows + model_rows;
 
-// Components of points from a first one on, those of a point side by side.
+// Components of points from one on, those of a point side by side.
 template <typename T> struct along_rod : components<along_rod<T>> {
     T* of;
 
@@ -17,13 +17,13 @@ template <typename T> struct along_rod : components<along_rod<T>> {
     inline void put(int c, int i, const T& a) const { of[i * point_rows + c] = a; }
 };
 
-// The same of the last four points.
-template <typename T> struct of_late : components<of_late<T>> {
-    T* of;
+// What a step leaves for its second half of a point and its two neighbours.
+template <typename T> struct near_point : components<near_point<T>> {
+    T *before, *here, *after;
 
-    inline explicit of_late(T* of) : of(of) {}
-    template <typename> inline T get(int c, int i) const { return of[(i & 3) * scratch_rows + c]; }
-    inline void put(int c, int i, const T& a) const { of[(i & 3) * scratch_rows + c] = a; }
+    inline near_point(T* before, T* here, T* after) : before(before), here(here), after(after) {}
+    template <typename> inline T get(int c, int i) const { return (i < 0 ? before : i ? after : here)[c]; }
+    inline void put(int c, int i, const T& a) const { after[c] = a; }
 };
 
 // Of a point that some lanes hold: by which gripper, where in its frame, and in which lanes it and its edge are held.
@@ -138,23 +138,31 @@ template <typename T> inline vec<T> chosen(const T& mask, const vec<T>& a, const
 template <typename real, typename Model> inline void step_abreast(const Model& model, int w) {
     typedef typename several<real>::lanes T;
     abreast<real>& own = abreast<real>::of(model, w);
-    T left[4 * scratch_rows];
-    for (int k = 0; k < scratch_rows; ++k) left[3 * scratch_rows + k] = T(0);  // of what is before the first
+    T left[3][scratch_rows];
+    for (int k = 0; k < scratch_rows; ++k) left[2][k] = T(0);  // of what is before the first
+    T *before = left[1], *here = left[2], *after = left[0];
     const int n = model.points;
-    const along_rod<T> s(own.points(model)), rest(s.of + state_rows), k(rest.of + 7), m(k.of + 6);
-    const of_late<T> late(left);
+    T* const first = own.points(model);
     const vec<T> g = {own.gravity[0], own.gravity[1], own.gravity[2]};
-    const motion<T> go(own.kick, own.keep, g, {own.h, own.friction, T(model.radius), bool(model.table)});
+    const motion<T, on_table<T>> go(own.kick, own.keep, g, {own.h, own.friction, T(model.radius), bool(model.table)});
     const T c = own.share, a = own.follows;
     T worst = own.worst, sum = own.sum;
-    for (int i = 0; i <= n; ++i) {
-        const T stretch = rod_forces_at(i, s, s, late, rest, k, m, c, a);
-        worst = larger(worst, stretch);
+    for (T* at = first; at <= first + n * point_rows; at += point_rows) {
+        const near_point<T> late(before, here, after);
+        const along_rod<T> s(at), rest(at + state_rows), k(rest.of + 7), m(k.of + 6);
+        const T stretch = rod_forces_at(0, s, s, late, rest, k, m, c, a);
+        worst = stretch > worst ? stretch : worst;
         sum += stretch;
-        if (i) rod_move_at(i - 1, s, s, late, m, go);
+        if (at > first) {
+            const along_rod<T> last(at - point_rows), m_last(m.of - point_rows);
+            rod_move_at(0, last, last, late, m_last, go);
+        }
+        T* const free = before;
+        before = here, here = after, after = free;
     }
     own.worst = worst;
     own.sum = sum;
+    const along_rod<T> s(first);
     const vec<T> still = {T(0), T(0), T(0)};
     const held_point<real>* held = own.holds(model);
     for (int j = 0; j < own.held; ++j) {

@@ -110,7 +110,7 @@ CUDA_CALLABLE inline T rod_forces_at(int i, const State& s, const To& to, const 
                           (joint.u + c * late_u);
     to.put3(LAG_U, i, lag_u + a * late_u);
     out.put3(MOMENT, i, directors<T>(before).to_world(joint.turn_gradient(stress)));
-    return edge.e.z * edge.e.z * is_above(edge.per_length, T(real(0)));
+    return edge.e.z * edge.e.z;  // 0 where there is no edge
 }
 
 // Of all of them; returns the largest squared stretch, not a number if any is not.
@@ -154,9 +154,9 @@ CUDA_CALLABLE inline real rod_stretch(const Model& model, const wp::array_t<real
 }
 
 // Velocity, position and direction at the end of a step, of what nobody holds.
-template <typename T, typename State, typename To, typename In, typename Fixed>
+template <typename T, typename Around, typename State, typename To, typename In, typename Fixed>
 CUDA_CALLABLE inline void rod_move_at(int i, const State& s, const To& to, const In& in, const Fixed& m,
-                                      const motion<T>& go) {
+                                      const motion<T, Around>& go) {
     typedef typename number_of<T>::type real;
     const T one = T(real(1)), half = T(real(0.5));
     const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
