@@ -443,11 +443,10 @@ class ThinEngine(Engine):
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
             friction=spread(friction, (W,), "friction"), **of_points,
         )  # fmt: skip
-        rows, more = m.scratch_rows, 0
-        if self.abreast:  # see ``native/abreast.h``: the last train needs no less room than others
-            numbers = 28 + 7 * self.closed.shape[1] + 36 * (n + 2) + 10 * (self.holds[0].size + 1)
-            rows, more = max(rows, -(-numbers // self.row_length)), LANES
-        made.scratch = self.zeros((W + more, rows, self.row_length))
+        made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
+        room = 28 + 7 * self.closed.shape[1] + 36 * (n + 2) + 10 * (self.holds[0].size + 1)
+        # the last train takes no less than others
+        made.abreast = self.zeros((W + LANES, room) if self.abreast else (0, 0))
         made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         paths = dict(Grippers.of(s.obstacles).arrays)
         paths["position"] = paths["position"] - self.origin

@@ -1,14 +1,14 @@
-// Rods without contact with themselves or obstacles side by side, each in a lane of a CPU's SIMD registers: none is
-// padded, and what neighbouring points share is near. CUDA only reads this file.
+// Rods that meet neither obstacles nor themselves side by side, each in a lane of a CPU's SIMD registers: no lane is
+// empty, and a step is one loop over points. CUDA has no use for this file.
 
 #if !defined(__CUDA_ARCH__)
 
 namespace gendom {
 
-// What a lane has of each point: its state, then the model's rows as in `registers.h`.
+// What there is of each point: its state, and the model's rows in the order of `fixed_rows`.
 constexpr int point_rows = state_rows + model_rows;
 
-// Components of points from one on, those of a point side by side.
+// Components of points near one, those of a point side by side.
 template <typename T> struct along_rod : components<along_rod<T>> {
     T* of;
 
@@ -17,190 +17,189 @@ template <typename T> struct along_rod : components<along_rod<T>> {
     inline void put(int c, int i, const T& a) const { of[i * point_rows + c] = a; }
 };
 
-// What a step leaves for its second half of a point and its two neighbours.
+// What a step's first half, one point ahead, leaves of a point and its neighbours for the second.
 template <typename T> struct near_point : components<near_point<T>> {
     T *before, *here, *after;
 
     inline near_point(T* before, T* here, T* after) : before(before), here(here), after(after) {}
     template <typename> inline T get(int c, int i) const { return (i < 0 ? before : i ? after : here)[c]; }
-    inline void put(int c, int i, const T& a) const { after[c] = a; }
+    inline void put(int c, int, const T& a) const { after[c] = a; }
 };
 
-// Of a point that some lanes hold: by which gripper, where in its frame, and in which lanes it and its edge are held.
-template <typename real> struct held_point {
-    typedef typename several<real>::lanes T;
+// A point that some lanes hold: by which gripper, where it is in its frame, and whether it and its edge are held.
+template <typename T> struct held_point {
     int g, i;
-    T place[7], point, edge;
+    vec<T> x;
+    quat<T> q;
+    T point, edge;
 };
 
-// A train of rods, in the scratch of its first world.
+// A train of rods; then come poses of grippers, points, and held ones. The engine makes room for it.
 template <typename real> struct abreast {
     typedef typename several<real>::lanes T;
     static constexpr int lanes = sizeof(T) / sizeof(real);
 
-    T h, kick, keep, share, follows, friction, gravity[3];
+    T h, kick, keep, share, follows, friction;
+    vec<T> gravity;
     T worst, sum;  // of squared stretches since the last look
     int held;
 
-    template <typename Model> inline static abreast& of(const Model& model, int w) {
-        real* first = &wp::index(model.scratch, w, 0, 0);
-        return *(abreast*)(((unsigned long long)first + 63) / 64 * 64);
+    template <typename Model> static inline abreast& of(const Model& model, int w) {
+        return *(abreast*)(((unsigned long long)&wp::index(model.abreast, w, 0) + 63) / 64 * 64);
     }
     inline pose<T>* poses() { return (pose<T>*)(this + 1); }
     template <typename Model> inline T* points(const Model& model) {
         return (T*)(poses() + model.holds.shape[1]) + point_rows;  // after one that is not there
     }
-    template <typename Model> inline held_point<real>* holds(const Model& model) {
-        return (held_point<real>*)(points(model) + (model.points + 1) * point_rows);
+    template <typename Model> inline held_point<T>* holds(const Model& model) {
+        return (held_point<T>*)(points(model) + (model.points + 1) * point_rows);
+    }
+    static inline real& lane(T& a, int l) { return ((real*)&a)[l]; }
+    static inline void set(vec<T>& a, int l, real x, real y, real z) {
+        lane(a.x, l) = x, lane(a.y, l) = y, lane(a.z, l) = z;
     }
 };
 
-template <typename real> inline real& lane(typename several<real>::lanes& a, int l) { return ((real*)&a)[l]; }
-
-// State and model of `count` worlds from w on; further lanes are the last one's.
-template <typename Model, typename real>
-inline void board(const Model& model, int w, int count, const wp::array_t<real>& state) {
-    abreast<real>& own = abreast<real>::of(model, w);
-    auto* points = own.points(model) - point_rows;
-    for (int k = 0; k < (model.points + 2) * point_rows; ++k) points[k] = typename abreast<real>::T(0);
-    own.worst = own.sum = typename abreast<real>::T(0);
-    own.held = 0;
-    for (int l = 0; l < own.lanes; ++l) {
-        const int from = w + (l < count ? l : count - 1);
-        const rows_of<real> rows[4] = {{state, from}, {model.rest, from}, {model.stiffness, from}, {model.inertia, from}};
-        lane<real>(own.friction, l) = wp::index(model.friction, from);
-        for (int k = 0; k < 3; ++k) lane<real>(own.gravity[k], l) = wp::index(model.gravity, from)[k];
-        int at = 0;
-        const int sizes[4] = {state_rows, 7, 6, 4};
-        for (int k = 0; k < 4; at += sizes[k++])
-            for (int c = 0; c < sizes[k]; ++c)
-                for (int i = 0; i < model.points; ++i)
-                    lane<real>(points[(i + 1) * point_rows + at + c], l) = rows[k].at(c, i);
-    }
-    for (int g = 0; g < model.holds.shape[1]; ++g)
-        for (int i = 0; i < model.points; ++i) {
-            held_point<real>& one = own.holds(model)[own.held];
-            int any = 0;
-            for (int l = 0; l < own.lanes; ++l) {
-                const int from = w + (l < count ? l : count - 1), held = wp::index(model.holds, from, g, i);
-                const rows_of<real> place(model.place, from * model.holds.shape[1] + g);
-                any |= held;
-                lane<real>(one.point, l) = real(held & 1);
-                lane<real>(one.edge, l) = real(held >> 1 & 1);
-                for (int c = 0; c < 7; ++c) lane<real>(one.place[c], l) = place.at(c, i);
-            }
-            one.g = g, one.i = i;
-            own.held += any ? 1 : 0;
+// Copies some components of all points to or from a lane.
+template <bool to_lane, typename real>
+inline void carry(typename several<real>::lanes* points, int l, const rows_of<real>& rows, int count, int n) {
+    for (int c = 0; c < count; ++c)
+        for (int i = 0; i < n; ++i) {
+            real& own = abreast<real>::lane(points[i * point_rows + c], l);
+            if (to_lane) own = rows.at(c, i);
+            else rows.at(c, i) = own;
         }
 }
 
-// A lane's state to or from a row.
+// State and model of `count` worlds from w on; lanes beyond are the last one's.
+template <typename Model, typename real>
+inline void board(const Model& model, int w, int count, const wp::array_t<real>& state) {
+    typedef typename several<real>::lanes T;
+    abreast<real>& own = abreast<real>::of(model, w);
+    T* const points = own.points(model);
+    for (int k = -point_rows; k < (model.points + 1) * point_rows; ++k) points[k] = T(real(0));
+    own.worst = own.sum = T(real(0));
+    own.held = 0;
+    for (int l = 0; l < own.lanes; ++l) {
+        const int from = w + (l < count ? l : count - 1);
+        const auto& g = wp::index(model.gravity, from);
+        own.set(own.gravity, l, g[0], g[1], g[2]);
+        own.lane(own.friction, l) = wp::index(model.friction, from);
+        carry<true, real>(points, l, {state, from}, state_rows, model.points);
+        carry<true, real>(points + state_rows, l, {model.rest, from}, 7, model.points);
+        carry<true, real>(points + state_rows + 7, l, {model.stiffness, from}, 6, model.points);
+        carry<true, real>(points + state_rows + 13, l, {model.inertia, from}, 4, model.points);
+    }
+    for (int g = 0; g < model.holds.shape[1]; ++g)
+        for (int i = 0; i < model.points; ++i) {
+            held_point<T>& one = own.holds(model)[own.held];
+            int any = 0;
+            one.g = g, one.i = i;
+            for (int l = 0; l < own.lanes; ++l) {
+                const int from = w + (l < count ? l : count - 1), held = wp::index(model.holds, from, g, i);
+                const rows_of<real> at(model.place, from * model.holds.shape[1] + g);
+                own.set(one.x, l, at.at(0, i), at.at(1, i), at.at(2, i));
+                own.set(one.q.v, l, at.at(3, i), at.at(4, i), at.at(5, i));
+                own.lane(one.q.w, l) = at.at(6, i);
+                own.lane(one.point, l) = real(held & 1), own.lane(one.edge, l) = real(held >> 1);
+                any |= held;
+            }
+            if (any) ++own.held;
+        }
+}
+
+// A lane's state goes to a row, or comes back.
 template <typename Model, typename real>
 inline void alight(const Model& model, int w, int l, const wp::array_t<real>& state, int row) {
-    auto* points = abreast<real>::of(model, w).points(model);
-    const rows_of<real> to(state, row);
-    for (int c = 0; c < state_rows; ++c)
-        for (int i = 0; i < model.points; ++i) to.at(c, i) = lane<real>(points[i * point_rows + c], l);
+    carry<false, real>(abreast<real>::of(model, w).points(model), l, {state, row}, state_rows, model.points);
 }
 template <typename Model, typename real>
 inline void reboard(const Model& model, int w, int l, const wp::array_t<real>& state, int row) {
-    auto* points = abreast<real>::of(model, w).points(model);
-    const rows_of<real> from(state, row);
-    for (int c = 0; c < state_rows; ++c)
-        for (int i = 0; i < model.points; ++i) lane<real>(points[i * point_rows + c], l) = from.at(c, i);
+    carry<true, real>(abreast<real>::of(model, w).points(model), l, {state, row}, state_rows, model.points);
 }
 
 template <typename Model, typename real>
 inline void set_pace(const Model& model, int w, int l, real dt, real kick) {
     abreast<real>& own = abreast<real>::of(model, w);
     const viscosity<real> visc(wp::index(model.damping, w + l), dt);
-    lane<real>(own.h, l) = dt;
-    lane<real>(own.kick, l) = kick;
-    lane<real>(own.keep, l) = wp::exp(-kick * wp::index(model.velocity_damping, w + l));
-    lane<real>(own.share, l) = visc.share;
-    lane<real>(own.follows, l) = visc.follows;
+    own.lane(own.h, l) = dt, own.lane(own.kick, l) = kick;
+    own.lane(own.keep, l) = wp::exp(-kick * wp::index(model.velocity_damping, w + l));
+    own.lane(own.share, l) = visc.share, own.lane(own.follows, l) = visc.follows;
 }
 
 template <typename Model, typename real>
 inline void set_pose(const Model& model, int w, int l, int g, const wp::vec_t<3, real>& c, const wp::quat_t<real>& q) {
-    pose<typename abreast<real>::T>& at = abreast<real>::of(model, w).poses()[g];
-    lane<real>(at.centre.x, l) = c[0], lane<real>(at.centre.y, l) = c[1], lane<real>(at.centre.z, l) = c[2];
-    lane<real>(at.by.v.x, l) = q.x, lane<real>(at.by.v.y, l) = q.y, lane<real>(at.by.v.z, l) = q.z;
-    lane<real>(at.by.w, l) = q.w;
+    abreast<real>& own = abreast<real>::of(model, w);
+    auto& at = own.poses()[g];
+    own.set(at.centre, l, c[0], c[1], c[2]), own.set(at.by.v, l, q.x, q.y, q.z);
+    own.lane(at.by.w, l) = q.w;
 }
 
-// a where a mask is 1, else b.
-template <typename T> inline T chosen(const T& mask, const T& a, const T& b) { return mask != T(0) ? a : b; }
-template <typename T> inline vec<T> chosen(const T& mask, const vec<T>& a, const vec<T>& b) {
-    return {chosen(mask, a.x, b.x), chosen(mask, a.y, b.y), chosen(mask, a.z, b.z)};
+// a where something holds, else b.
+template <typename T> inline T chosen(const T& holds, const T& a, const T& b) { return holds != T(0) ? a : b; }
+template <typename T> inline vec<T> chosen(const T& holds, const vec<T>& a, const vec<T>& b) {
+    return {chosen(holds, a.x, b.x), chosen(holds, a.y, b.y), chosen(holds, a.z, b.z)};
 }
 
+// As `rod_forces`, `rod_move` and `hold`.
 template <typename real, typename Model> inline void step_abreast(const Model& model, int w) {
     typedef typename several<real>::lanes T;
     abreast<real>& own = abreast<real>::of(model, w);
-    T left[3][scratch_rows];
-    for (int k = 0; k < scratch_rows; ++k) left[2][k] = T(0);  // of what is before the first
-    T *before = left[1], *here = left[2], *after = left[0];
-    const int n = model.points;
-    T* const first = own.points(model);
-    const vec<T> g = {own.gravity[0], own.gravity[1], own.gravity[2]};
-    const motion<T, on_table<T>> go(own.kick, own.keep, g, {own.h, own.friction, T(model.radius), bool(model.table)});
+    const on_table<T> around = {own.h, own.friction, T(model.radius), bool(model.table)};
+    const motion<T, on_table<T>> go(own.kick, own.keep, own.gravity, around);
     const T c = own.share, a = own.follows;
-    T worst = own.worst, sum = own.sum;
-    for (T* at = first; at <= first + n * point_rows; at += point_rows) {
+    T* const first = own.points(model);
+    T left[3][scratch_rows], worst = own.worst, sum = own.sum;
+    for (T& of : left[1]) of = T(real(0));  // there is nothing before the first point
+    T *before = left[0], *here = left[1], *after = left[2];
+    for (T* at = first; at <= first + model.points * point_rows; at += point_rows) {
         const near_point<T> late(before, here, after);
-        const along_rod<T> s(at), rest(at + state_rows), k(rest.of + 7), m(k.of + 6);
+        const along_rod<T> s(at), last(at - point_rows), rest(at + state_rows), k(rest.of + 7), m(k.of + 6);
         const T stretch = rod_forces_at(0, s, s, late, rest, k, m, c, a);
         worst = stretch > worst ? stretch : worst;
         sum += stretch;
-        if (at > first) {
-            const along_rod<T> last(at - point_rows), m_last(m.of - point_rows);
-            rod_move_at(0, last, last, late, m_last, go);
-        }
+        if (at > first) rod_move_at(0, last, last, late, along_rod<T>(m.of - point_rows), go);
         T* const free = before;
         before = here, here = after, after = free;
     }
-    own.worst = worst;
-    own.sum = sum;
+    own.worst = worst, own.sum = sum;
     const along_rod<T> s(first);
-    const vec<T> still = {T(0), T(0), T(0)};
-    const held_point<real>* held = own.holds(model);
+    const vec<T> still = {T(real(0)), T(real(0)), T(real(0))};
     for (int j = 0; j < own.held; ++j) {
-        const held_point<real>& one = held[j];
+        const held_point<T>& one = own.holds(model)[j];
         const pose<T>& at = own.poses()[one.g];
-        const int i = one.i;
-        const vec<T> away = directors<T>(at.by).to_world({one.place[0], one.place[1], one.place[2]});
-        s.put3(X, i, chosen(one.point, at.centre + away, s.template get3<T>(X, i)));
-        s.put3(V, i, chosen(one.point, still, s.template get3<T>(V, i)));
-        const quat<T> q = at.by * quat<T>{{one.place[3], one.place[4], one.place[5]}, one.place[6]};
-        const quat<T> was = s.template get4<T>(Q, i);
-        const T side = T(1) - T(2) * is_above(T(0), dot(q.v, was.v) + q.w * was.w);
-        s.put4(Q, i, quat<T>{chosen(one.edge, side * q.v, was.v), chosen(one.edge, side * q.w, was.w)});
-        s.put3(W, i, chosen(one.edge, still, s.template get3<T>(W, i)));
+        const vec<T> x = at.centre + directors<T>(at.by).to_world(one.x);
+        s.put3(X, one.i, chosen(one.point, x, s.template get3<T>(X, one.i)));
+        s.put3(V, one.i, chosen(one.point, still, s.template get3<T>(V, one.i)));
+        const quat<T> q = at.by * one.q, was = s.template get4<T>(Q, one.i);
+        const T side = T(real(1)) - T(real(2)) * is_above(T(real(0)), dot(q.v, was.v) + q.w * was.w);
+        s.put4(Q, one.i, quat<T>{chosen(one.edge, side * q.v, was.v), chosen(one.edge, side * q.w, was.w)});
+        s.put3(W, one.i, chosen(one.edge, still, s.template get3<T>(W, one.i)));
     }
 }
 
-// Whether a lane's rod was stretched beyond limits since the last look: the square of an edge's, and the mean.
+// Whether a lane's rod was stretched beyond limits since the last look: the square of an edge's, or the mean.
 template <typename Model, typename real>
 inline int overstretched(const Model& model, int w, int l, real limit, real mean_limit) {
     typedef typename several<real>::lanes T;
     abreast<real>& own = abreast<real>::of(model, w);
     const along_rod<T> s(own.points(model)), rest(s.of + state_rows);
-    T all = T(0);
+    T all = T(real(0));
     for (int i = 0; i < model.points - 1; ++i) {
         const vec<T> d = s.template get3<T>(X, i + 1) - s.template get3<T>(X, i);
-        const T stretch = root(dot(d, d)) * rest.template get<T>(PER_LENGTH, i) - T(1);
+        const T stretch = root(dot(d, d)) * rest.template get<T>(PER_LENGTH, i) - T(real(1));
         all += larger(stretch, -stretch);
     }
-    const real sum = lane<real>(own.sum, l), worst = lane<real>(own.worst, l);
-    lane<real>(own.worst, l) = lane<real>(own.sum, l) = real(0);
-    return sum == sum && worst <= limit && lane<real>(all, l) / real(model.points - 1) <= mean_limit ? 0 : 1;
+    real &sum = own.lane(own.sum, l), &worst = own.lane(own.worst, l);
+    const bool fine = sum == sum && worst <= limit && own.lane(all, l) / real(model.points - 1) <= mean_limit;
+    sum = worst = real(0);
+    return fine ? 0 : 1;
 }
 
 // Where a point is.
 template <typename real, typename Model> inline wp::vec_t<3, real> seen(const Model& model, int w, int l, int i) {
     auto* at = abreast<real>::of(model, w).points(model) + i * point_rows;
-    return {lane<real>(at[X], l), lane<real>(at[X + 1], l), lane<real>(at[X + 2], l)};
+    return {abreast<real>::lane(at[X], l), abreast<real>::lane(at[X + 1], l), abreast<real>::lane(at[X + 2], l)};
 }
 
 }  // namespace gendom
