@@ -56,9 +56,6 @@ LOOKS = 2
 FASTEST = 2.0
 """Speed of the tool [sqrt(g L)]."""
 
-ABREAST = 12
-"""Ropes from which on those side by side in the lanes of a CPU are faster."""
-
 MARKERS = 9
 """Points that are observed."""
 
@@ -102,7 +99,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         task = find_task(task)() if isinstance(task, str) else task
         self.task = task.of_one_size()
         self.num_envs, self.sees_parameters = num_envs, parameters
-        self.world = Simulation(device=device, threads=threads, abreast=num_envs >= ABREAST)
+        self.world = Simulation(device=device, threads=threads)
         path = self._path(self.task.item)
         self.lets_go = math.isfinite(opening(path.events))
         size = (3 * cloud or 6 * MARKERS) + 5 + len(self.task.goals) + 5 * parameters

@@ -31,6 +31,9 @@ EARLIER_FRAMES = 100
 BATCH = 8192
 """Objects simulated at once at the most."""
 
+ABREAST = 12
+"""Ropes from which on the lanes of a CPU gain."""
+
 POINTS = 25
 """Of a rod's centre line, however thin: twice as many move what is reached by 0.001 lengths, and
 take four times as long."""
@@ -55,8 +58,9 @@ class Simulation:
     rope_cfl: float = 0.95
     """Steps of ropes as rods over the longest stable ones of small vibrations: what they reach is
     within 0.0001 lengths of what steps of 0.7 and 0.8 give."""
-    abreast: bool = True
-    """As of `Solver`; rounding differs."""
+    abreast: bool | None = None
+    """As of `Solver`. None: of `ABREAST` objects and more. Data sets, which are simulated in parts,
+    always are: an object's rounding does not depend on those beside it."""
     everything: bool = False
     """Whether to look at all points from when the tool moves, not only at what a task watches."""
 
@@ -146,8 +150,8 @@ class Simulation:
             solver=Solver(
                 engine=self.engine, dtype=self.dtype, device=self.device, threads=self.threads,
                 cfl=self.rope_cfl if self.engine == "thin" and task.kind == "rope" else None,
-                abreast=self.abreast,
-            ),
+                abreast=len(items) >= ABREAST if self.abreast is None else self.abreast,
+            ),  # fmt: skip
         )
         return simulator, body
 

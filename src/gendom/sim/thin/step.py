@@ -5,7 +5,8 @@ the middle of the previous step to the middle of this one, and velocities advanc
 directions to its end. Contact with the table and obstacles changes velocities so that no point ends
 in one of them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
 world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU. Between steps
-its state is in rows in memory, that of short rods on CUDA in registers.
+its state is in rows in memory, that of short rods on CUDA in registers. Many rods without contact
+are side by side on the CPU, a lane each (``advance_abreast``).
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -249,6 +250,25 @@ def make_kernels(
     if room:
         bounds = (ShellModel.threads_on_cuda, blocks)
 
+    @wp.func
+    def stop(run: ThinRun, w: int, p: int, k: int):
+        """Stop a world at the end of step k of a piece."""
+        run.stopped[w] = p
+        run.stopped_at[w] = end_of(run, w, p, k)
+
+    @wp.func
+    def record(
+        model: ThinModel, run: ThinRun, w: int, p: int, row: int, thread: int, threads: int
+    ):  # fmt: skip
+        """Record the frame at the end of a piece, if any, from a row of the state."""
+        f = run.frame[w, p]
+        if f >= 0:
+            for k in range(thread, run.points.shape[0], threads):
+                i = model.slot[run.points[k]]
+                run.frames[f, w, k] = vec3(
+                    run.state[row, 0, i], run.state[row, 1, i], run.state[row, 2, i]
+                )
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds)
     def advance(first: int, threads: int, model: ThinModel, paths: Paths, run: ThinRun):
         """Take the next pieces of a run, until a world exceeds a limit: ``limit`` of the squared
@@ -291,33 +311,21 @@ def make_kernels(
                     if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
                         bad = 1
                 if bad != 0:
-                    run.stopped[w] = p
-                    run.stopped_at[w] = end_of(run, w, p, k - 1)
+                    stop(run, w, p, k - 1)
                 else:
-                    f = run.frame[w, p]
-                    if f >= 0:
-                        for k in range(thread, run.points.shape[0], threads):
-                            i = model.slot[run.points[k]]
-                            run.frames[f, w, k] = vec3(
-                                state[last, 0, i], state[last, 1, i], state[last, 2, i]
-                            )
+                    record(model, run, w, p, last, thread, threads)
                 native.block_sync()
 
     @wp.func
-    def goes_on(run: ThinRun, w: int, p: int) -> bool:
-        """Whether a piece is one of a world's next ones."""
-        return run.stopped[w] < 0 and p >= run.piece[w, 0] and p < run.piece[w, 1]
-
-    @wp.func
     def steps_of(run: ThinRun, w: int, p: int) -> int:
-        """How many steps a world takes in a piece."""
-        count = int(0)
-        if goes_on(run, w, p):
+        """Number of a world's steps in a piece; -1: it is none of the next ones."""
+        count = int(-1)
+        if run.stopped[w] < 0 and p >= run.piece[w, 0] and p < run.piece[w, 1]:
             count = run.steps[w, p]
         return count
 
     @wp.func
-    def that_move(model: ThinModel, w: int, p: int, paths: Paths, run: ThinRun) -> int:
+    def that_move(model: ThinModel, paths: Paths, run: ThinRun, w: int, p: int) -> int:
         """Bits of the grippers that move in a piece."""
         found = int(0)
         for g in range(model.holds.shape[1]):
@@ -325,32 +333,6 @@ def make_kernels(
             if paths_of.is_closed(w, g, begin, paths) and paths_of.moves(w, g, begin, end, paths):
                 found |= 1 << g
         return found
-
-    @wp.func
-    def prepare(
-        model: ThinModel, paths: Paths, run: ThinRun, w: int, l: int, p: int, k: int, moving: int
-    ):  # fmt: skip
-        """Set what is new in step k of lane l of the train of world w, or keep its state if it has
-        no such step."""
-        own, count = w + l, steps_of(run, w + l, p)
-        if k == count:
-            native.alight(model, w, l, run.state, own)
-        if k < count and k < 2:
-            native.set_pace(model, w, l, real(run.dt[own, p]), kick_of(run, own, p, k))
-        for g in range(model.holds.shape[1]):
-            if k < count and (k == 0 or (moving >> g) & 1 == 1):
-                centre, q, _knot = paths_of.placed(own, g, end_of(run, own, p, k), paths)
-                native.set_pose(model, w, l, g, vec3(centre), quat(q))
-
-    @wp.func
-    def look_at(model: ThinModel, run: ThinRun, w: int, l: int, p: int, k: int):
-        """Stop a world that has exceeded a limit by the end of step k."""
-        own, count = w + l, steps_of(run, w + l, p)
-        if k + 1 == count or (k < count and (k + 1) % CHECKED == 0):
-            if native.overstretched(model, w, l, limit, mean_limit) != 0:  # noqa: SIM102
-                run.stopped[own] = p
-                run.stopped_at[own] = end_of(run, own, p, k)
-                native.alight(model, w, l, run.state, own)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance_abreast(
@@ -362,39 +344,47 @@ def make_kernels(
             return
         w = first + wp.tid()
         lanes = wp.min(native.lanes(), end - w)
-        state = run.state
-        native.board(model, w, lanes, state)
-        first_piece = int(run.piece[w, 0])
-        last_piece = int(run.piece[w, 1])
+        native.board(model, w, lanes, run.state)
         for l in range(lanes):
             if run.span.shape[0] > 0:
                 divide(run, w + l)
-            first_piece = wp.min(first_piece, run.piece[w + l, 0])
-            last_piece = wp.max(last_piece, run.piece[w + l, 1])
-        for p in range(first_piece, last_piece):
-            most, moving = int(0), int(0)
-            least = steps_of(run, w, p)
+        for p in range(run.dt.shape[1]):
+            least, most, moving = steps_of(run, w, p), int(0), int(0)
             for l in range(lanes):
                 least = wp.min(least, steps_of(run, w + l, p))
                 most = wp.max(most, steps_of(run, w + l, p))
-                moving |= that_move(model, w + l, p, paths, run)
+                moving |= that_move(model, paths, run, w + l, p)
             for k in range(most):
-                if k < 2 or k >= least or moving != 0:
+                if k < 2 or moving != 0:
                     for l in range(lanes):
-                        prepare(model, paths, run, w, l, p, k, moving)
+                        own = w + l
+                        if k < 2:
+                            kick = kick_of(run, own, p, k)
+                            native.set_pace(model, w, l, real(run.dt[own, p]), kick)
+                        for g in range(model.holds.shape[1]):
+                            if k == 0 or (moving >> g) & 1 == 1:
+                                t = end_of(run, own, p, k)
+                                centre, q, _knot = paths_of.placed(own, g, t, paths)
+                                native.set_pose(model, w, l, g, vec3(centre), quat(q))
                 native.step_abreast(model, w)
                 if k + 1 >= least or (k + 1) % CHECKED == 0:
                     for l in range(lanes):
-                        look_at(model, run, w, l, p, k)
+                        own, count = w + l, steps_of(run, w + l, p)
+                        if k + 1 == count or (k < count and (k + 1) % CHECKED == 0):
+                            native.alight(model, w, l, run.state, own)
+                            bad = int(0)
+                            if not native.worst_stretch(model, w, l) <= limit:
+                                bad = 1
+                            if not native.mean_stretch(model, run.state, own) <= mean_limit:
+                                bad = 1
+                            if bad != 0:
+                                stop(run, own, p, k)
             for l in range(lanes):
-                if steps_of(run, w + l, p) < most:
-                    native.reboard(model, w, l, state, w + l)
-                f = run.frame[w + l, p]
-                if f >= 0 and goes_on(run, w + l, p):
-                    for k in range(run.points.shape[0]):
-                        run.frames[f, w + l, k] = native.seen(model, w, l, run.points[k])
-        for l in range(lanes):
-            native.alight(model, w, l, state, w + l)
+                count = steps_of(run, w + l, p)
+                if count >= 0:
+                    record(model, run, w + l, p, w + l, 0, 1)
+                if count < most:
+                    native.reboard(model, w, l, run.state, w + l)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def reverse(

@@ -99,16 +99,18 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
 
     # rods side by side
 
+    of_row = f"gendom::rows_of<{number}>(state, row)"
+
     @wp.func_native(f"return gendom::abreast<{number}>::lanes;")
     def lanes() -> int: ...
 
     @wp.func_native("gendom::board(model, w, count, state);")
     def board(model: ThinModel, w: int, count: int, state: rows): ...
 
-    @wp.func_native("gendom::alight(model, w, l, state, row);")
+    @wp.func_native(f"gendom::carry<false>(model, w, l, {of_row}, 0, gendom::state_rows);")
     def alight(model: ThinModel, w: int, l: int, state: rows, row: int): ...
 
-    @wp.func_native("gendom::reboard(model, w, l, state, row);")
+    @wp.func_native(f"gendom::carry<true>(model, w, l, {of_row}, 0, gendom::state_rows);")
     def reboard(model: ThinModel, w: int, l: int, state: rows, row: int): ...
 
     @wp.func_native("gendom::set_pace(model, w, l, dt, kick);")
@@ -120,11 +122,8 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
     @wp.func_native(f"gendom::step_abreast<{number}>(model, w);")
     def step_abreast(model: ThinModel, w: int): ...
 
-    @wp.func_native("return gendom::overstretched(model, w, l, limit, mean_limit);")
-    def overstretched(model: ThinModel, w: int, l: int, limit: real, mean_limit: real) -> int: ...
-
-    @wp.func_native(f"return gendom::seen<{number}>(model, w, l, i);")
-    def seen(model: ThinModel, w: int, l: int, i: int) -> vec3: ...
+    @wp.func_native(f"return gendom::worst_stretch<{number}>(model, w, l);")
+    def worst_stretch(model: ThinModel, w: int, l: int) -> real: ...
 
     # contact of a body with itself; kernels with rods in registers have no shared memory for it
 

@@ -60,11 +60,12 @@ template <typename real> struct abreast {
     }
 };
 
-// Copies some components of all points to or from a lane.
-template <bool to_lane, typename real>
-inline void carry(typename several<real>::lanes* points, int l, const rows_of<real>& rows, int count, int n) {
+// Copies `count` components of all points, from a first one on, to a lane, or from there.
+template <bool to_lane, typename Model, typename real>
+inline void carry(const Model& model, int w, int l, const rows_of<real>& rows, int first, int count) {
+    auto* points = abreast<real>::of(model, w).points(model) + first;
     for (int c = 0; c < count; ++c)
-        for (int i = 0; i < n; ++i) {
+        for (int i = 0; i < model.points; ++i) {
             real& own = abreast<real>::lane(points[i * point_rows + c], l);
             if (to_lane) own = rows.at(c, i);
             else rows.at(c, i) = own;
@@ -74,25 +75,23 @@ inline void carry(typename several<real>::lanes* points, int l, const rows_of<re
 // State and model of `count` worlds from w on; lanes beyond are the last one's.
 template <typename Model, typename real>
 inline void board(const Model& model, int w, int count, const wp::array_t<real>& state) {
-    typedef typename several<real>::lanes T;
     abreast<real>& own = abreast<real>::of(model, w);
-    T* const points = own.points(model);
-    for (int k = -point_rows; k < (model.points + 1) * point_rows; ++k) points[k] = T(real(0));
-    own.worst = own.sum = T(real(0));
+    for (int k = -point_rows; k < (model.points + 1) * point_rows; ++k) own.points(model)[k] = 0;
+    own.worst = own.sum = 0;
     own.held = 0;
     for (int l = 0; l < own.lanes; ++l) {
         const int from = w + (l < count ? l : count - 1);
         const auto& g = wp::index(model.gravity, from);
         own.set(own.gravity, l, g[0], g[1], g[2]);
         own.lane(own.friction, l) = wp::index(model.friction, from);
-        carry<true, real>(points, l, {state, from}, state_rows, model.points);
-        carry<true, real>(points + state_rows, l, {model.rest, from}, 7, model.points);
-        carry<true, real>(points + state_rows + 7, l, {model.stiffness, from}, 6, model.points);
-        carry<true, real>(points + state_rows + 13, l, {model.inertia, from}, 4, model.points);
+        carry<true, Model, real>(model, w, l, {state, from}, 0, state_rows);
+        carry<true, Model, real>(model, w, l, {model.rest, from}, state_rows, 7);
+        carry<true, Model, real>(model, w, l, {model.stiffness, from}, state_rows + 7, 6);
+        carry<true, Model, real>(model, w, l, {model.inertia, from}, state_rows + 13, 4);
     }
     for (int g = 0; g < model.holds.shape[1]; ++g)
         for (int i = 0; i < model.points; ++i) {
-            held_point<T>& one = own.holds(model)[own.held];
+            auto& one = own.holds(model)[own.held];
             int any = 0;
             one.g = g, one.i = i;
             for (int l = 0; l < own.lanes; ++l) {
@@ -106,16 +105,6 @@ inline void board(const Model& model, int w, int count, const wp::array_t<real>&
             }
             if (any) ++own.held;
         }
-}
-
-// A lane's state goes to a row, or comes back.
-template <typename Model, typename real>
-inline void alight(const Model& model, int w, int l, const wp::array_t<real>& state, int row) {
-    carry<false, real>(abreast<real>::of(model, w).points(model), l, {state, row}, state_rows, model.points);
-}
-template <typename Model, typename real>
-inline void reboard(const Model& model, int w, int l, const wp::array_t<real>& state, int row) {
-    carry<true, real>(abreast<real>::of(model, w).points(model), l, {state, row}, state_rows, model.points);
 }
 
 template <typename Model, typename real>
@@ -178,28 +167,13 @@ template <typename real, typename Model> inline void step_abreast(const Model& m
     }
 }
 
-// Whether a lane's rod was stretched beyond limits since the last look: the square of an edge's, or the mean.
-template <typename Model, typename real>
-inline int overstretched(const Model& model, int w, int l, real limit, real mean_limit) {
-    typedef typename several<real>::lanes T;
+// As `rod_forces` returns it, of a lane's steps since the last look.
+template <typename real, typename Model> inline real worst_stretch(const Model& model, int w, int l) {
     abreast<real>& own = abreast<real>::of(model, w);
-    const along_rod<T> s(own.points(model)), rest(s.of + state_rows);
-    T all = T(real(0));
-    for (int i = 0; i < model.points - 1; ++i) {
-        const vec<T> d = s.template get3<T>(X, i + 1) - s.template get3<T>(X, i);
-        const T stretch = root(dot(d, d)) * rest.template get<T>(PER_LENGTH, i) - T(real(1));
-        all += larger(stretch, -stretch);
-    }
     real &sum = own.lane(own.sum, l), &worst = own.lane(own.worst, l);
-    const bool fine = sum == sum && worst <= limit && own.lane(all, l) / real(model.points - 1) <= mean_limit;
+    const real found = sum == sum ? worst : sum;
     sum = worst = real(0);
-    return fine ? 0 : 1;
-}
-
-// Where a point is.
-template <typename real, typename Model> inline wp::vec_t<3, real> seen(const Model& model, int w, int l, int i) {
-    auto* at = abreast<real>::of(model, w).points(model) + i * point_rows;
-    return {abreast<real>::lane(at[X], l), abreast<real>::lane(at[X + 1], l), abreast<real>::lane(at[X + 2], l)};
+    return found;
 }
 
 }  // namespace gendom
