@@ -148,10 +148,13 @@ class Simulation:
                 self_friction=friction,
             ),
             solver=Solver(
-                engine=self.engine, dtype=self.dtype, device=self.device, threads=self.threads,
+                engine=self.engine,
+                dtype=self.dtype,
+                device=self.device,
+                threads=self.threads,
                 cfl=self.rope_cfl if self.engine == "thin" and task.kind == "rope" else None,
                 abreast=len(items) >= ABREAST if self.abreast is None else self.abreast,
-            ),  # fmt: skip
+            ),
         )
         return simulator, body
 

@@ -17,13 +17,13 @@ template <typename T> struct along_rod : components<along_rod<T>> {
     inline void put(int c, int i, const T& a) const { of[i * point_rows + c] = a; }
 };
 
-// What a step's first half, one point ahead, leaves of a point and its neighbours for the second.
-template <typename T> struct near_point : components<near_point<T>> {
-    T *before, *here, *after;
+// What a step's first half leaves of a point and the two before for the second.
+template <typename T> struct last_points : components<last_points<T>> {
+    T* of[3];
 
-    inline near_point(T* before, T* here, T* after) : before(before), here(here), after(after) {}
-    template <typename> inline T get(int c, int i) const { return (i < 0 ? before : i ? after : here)[c]; }
-    inline void put(int c, int, const T& a) const { after[c] = a; }
+    inline last_points(T* a, T* b, T* c) : of{a, b, c} {}
+    template <typename> inline T get(int c, int i) const { return of[i + 2][c]; }
+    inline void put(int c, int, const T& a) const { of[2][c] = a; }
 };
 
 // A point that some lanes hold: by which gripper, where it is in its frame, and whether it and its edge are held.
@@ -139,17 +139,15 @@ template <typename real, typename Model> inline void step_abreast(const Model& m
     const T c = own.share, a = own.follows;
     T* const first = own.points(model);
     T left[3][scratch_rows], worst = own.worst, sum = own.sum;
-    for (T& of : left[1]) of = T(real(0));  // there is nothing before the first point
-    T *before = left[0], *here = left[1], *after = left[2];
+    for (T& of : left[2]) of = 0;  // before the first point
+    last_points<T> late(left[0], left[1], left[2]);
     for (T* at = first; at <= first + model.points * point_rows; at += point_rows) {
-        const near_point<T> late(before, here, after);
-        const along_rod<T> s(at), last(at - point_rows), rest(at + state_rows), k(rest.of + 7), m(k.of + 6);
+        const along_rod<T> s(at), rest(at + state_rows), k(rest.of + 7), m(k.of + 6);
+        late = {late.of[1], late.of[2], late.of[0]};
         const T stretch = rod_forces_at(0, s, s, late, rest, k, m, c, a);
         worst = stretch > worst ? stretch : worst;
         sum += stretch;
-        if (at > first) rod_move_at(0, last, last, late, along_rod<T>(m.of - point_rows), go);
-        T* const free = before;
-        before = here, here = after, after = free;
+        if (at > first) rod_move_at(-1, s, s, late, m, go);
     }
     own.worst = worst, own.sum = sum;
     const along_rod<T> s(first);
