@@ -114,15 +114,14 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def moves(w: int, g: int, begin: wp.float64, end: wp.float64, paths: Paths) -> bool:
-        """Whether a gripper moves between two times [s]."""
+        """Whether a gripper that is closed at a time moves until another one [s]."""
         first, _u = knot_before(w, g, begin, paths)
         last, _v = knot_before(w, g, end, paths)
         found = paths.turns[w, g] == 1
-        for knot in range(first, last + 1):
-            gone = paths.position[w, g, knot + 1] - paths.position[w, g, knot]
-            if wp.length_sq(gone) > wp.float64(0.0):
-                found = True
-        return found
+        for k in range(first, last + 1):
+            gone = paths.position[w, g, k + 1] - paths.position[w, g, k]
+            found = found or wp.length_sq(gone) > wp.float64(0.0)
+        return found and is_closed(w, g, begin, paths)
 
     @wp.func
     def left_jacobian(turn: wp.vec3d, sign: wp.float64):

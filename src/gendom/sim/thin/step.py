@@ -324,16 +324,6 @@ def make_kernels(
             count = run.steps[w, p]
         return count
 
-    @wp.func
-    def that_move(model: ThinModel, paths: Paths, run: ThinRun, w: int, p: int) -> int:
-        """Bits of the grippers that move in a piece."""
-        found = int(0)
-        for g in range(model.holds.shape[1]):
-            begin, end = run.begins[w, p], end_of(run, w, p, run.steps[w, p])
-            if paths_of.is_closed(w, g, begin, paths) and paths_of.moves(w, g, begin, end, paths):
-                found |= 1 << g
-        return found
-
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance_abreast(
         first: int, threads: int, end: int, model: ThinModel, paths: Paths, run: ThinRun
@@ -353,7 +343,10 @@ def make_kernels(
             for l in range(lanes):
                 least = wp.min(least, steps_of(run, w + l, p))
                 most = wp.max(most, steps_of(run, w + l, p))
-                moving |= that_move(model, paths, run, w + l, p)
+                for g in range(model.holds.shape[1]):
+                    until = end_of(run, w + l, p, run.steps[w + l, p])
+                    if paths_of.moves(w + l, g, run.begins[w + l, p], until, paths):
+                        moving |= 1 << g
             for k in range(most):
                 if k < 2 or moving != 0:
                     for l in range(lanes):
