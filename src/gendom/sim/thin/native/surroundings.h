@@ -153,7 +153,7 @@ template <typename T> struct on_table {
 // All of a world's obstacles, the table last.
 template <typename T> struct surroundings : on_table<T> {
     typedef typename number_of<T>::type real;
-    using on_table<T>::h, on_table<T>::mu, on_table<T>::radius, on_table<T>::table;
+    using on_table<T>::h; using on_table<T>::mu; using on_table<T>::radius; using on_table<T>::table;
     int count;
     const real* first;
 
