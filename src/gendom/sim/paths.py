@@ -113,6 +113,17 @@ def make_paths(real: Any) -> SimpleNamespace:
         return centre, q, knot
 
     @wp.func
+    def moves(w: int, g: int, begin: wp.float64, end: wp.float64, paths: Paths) -> bool:
+        """Whether a gripper that is closed at a time moves until another one [s]."""
+        first, _u = knot_before(w, g, begin, paths)
+        last, _v = knot_before(w, g, end, paths)
+        found = paths.turns[w, g] == 1
+        for k in range(first, last + 1):
+            gone = paths.position[w, g, k + 1] - paths.position[w, g, k]
+            found = found or wp.length_sq(gone) > wp.float64(0.0)
+        return found and is_closed(w, g, begin, paths)
+
+    @wp.func
     def left_jacobian(turn: wp.vec3d, sign: wp.float64):
         """Left Jacobian J of exp: exp(turn + d) = exp(J d) exp(turn); right Jacobian for sign -1.
 

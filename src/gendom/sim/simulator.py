@@ -106,8 +106,8 @@ class Simulator(Shown):
         setting = Setting(
             body=body, materials=self.materials, parameters=parameters, grippers=hands,
             table=table, obstacles=every, positions=x, start_time=start_time, dtype=self.dtype,
-            device=self.device, threads=solver.threads or cores(), variation=variation,
-            **vars(physics),
+            device=self.device, threads=solver.threads or cores(), abreast=solver.abreast,
+            variation=variation, **vars(physics),
         )  # fmt: skip
         kind = ThinEngine if thin else MpmEngine
         with making:

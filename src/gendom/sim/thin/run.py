@@ -173,7 +173,11 @@ class Run:
         e, own, which = self._engine, self._launches, (group.start, group.stop)
         if which not in own:
             given = [e.device_model, e.device_paths, self.on_device]
-            own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
+            if e.abreast and self.on_device.every < 0:
+                kernel, given = e.kernels.advance_abreast, [group.stop, *given]
+            else:
+                kernel = e.kernels.advance
+            own[which] = e.launch(kernel, group, given, record_cmd=True)
         e.first = None
         own[which].launch()
 

@@ -5,7 +5,8 @@ the middle of the previous step to the middle of this one, and velocities advanc
 directions to its end. Contact with the table and obstacles changes velocities so that no point ends
 in one of them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
 world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU. Between steps
-its state is in rows in memory, that of short rods on CUDA in registers.
+its state is in rows in memory, that of short rods on CUDA in registers. Many rods without contact
+are side by side on the CPU, a lane each (``advance_abreast``).
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -249,6 +250,25 @@ def make_kernels(
     if room:
         bounds = (ShellModel.threads_on_cuda, blocks)
 
+    @wp.func
+    def stop(run: ThinRun, w: int, p: int, k: int):
+        """Stop a world at the end of step k of a piece."""
+        run.stopped[w] = p
+        run.stopped_at[w] = end_of(run, w, p, k)
+
+    @wp.func
+    def record(
+        model: ThinModel, run: ThinRun, w: int, p: int, row: int, thread: int, threads: int
+    ):  # fmt: skip
+        """Record the frame at the end of a piece, if any, from a row of the state."""
+        f = run.frame[w, p]
+        if f >= 0:
+            for k in range(thread, run.points.shape[0], threads):
+                i = model.slot[run.points[k]]
+                run.frames[f, w, k] = vec3(
+                    run.state[row, 0, i], run.state[row, 1, i], run.state[row, 2, i]
+                )
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds)
     def advance(first: int, threads: int, model: ThinModel, paths: Paths, run: ThinRun):
         """Take the next pieces of a run, until a world exceeds a limit: ``limit`` of the squared
@@ -291,17 +311,73 @@ def make_kernels(
                     if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
                         bad = 1
                 if bad != 0:
-                    run.stopped[w] = p
-                    run.stopped_at[w] = end_of(run, w, p, k - 1)
+                    stop(run, w, p, k - 1)
                 else:
-                    f = run.frame[w, p]
-                    if f >= 0:
-                        for k in range(thread, run.points.shape[0], threads):
-                            i = model.slot[run.points[k]]
-                            run.frames[f, w, k] = vec3(
-                                state[last, 0, i], state[last, 1, i], state[last, 2, i]
-                            )
+                    record(model, run, w, p, last, thread, threads)
                 native.block_sync()
+
+    @wp.func
+    def steps_of(run: ThinRun, w: int, p: int) -> int:
+        """Number of a world's steps in a piece; -1: it is none of the next ones."""
+        count = int(-1)
+        if run.stopped[w] < 0 and p >= run.piece[w, 0] and p < run.piece[w, 1]:
+            count = run.steps[w, p]
+        return count
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def advance_abreast(
+        first: int, threads: int, end: int, model: ThinModel, paths: Paths, run: ThinRun
+    ):  # fmt: skip
+        """As ``advance`` of rods that meet neither obstacles nor themselves, each in a lane of a
+        CPU. Those with fewer steps in a piece wait for others where they were."""
+        if wp.tid() % native.lanes() != 0:
+            return
+        w = first + wp.tid()
+        lanes = wp.min(native.lanes(), end - w)
+        native.board(model, w, lanes, run.state)
+        for l in range(lanes):
+            if run.span.shape[0] > 0:
+                divide(run, w + l)
+        for p in range(run.dt.shape[1]):
+            least, most, moving = steps_of(run, w, p), int(0), int(0)
+            for l in range(lanes):
+                least = wp.min(least, steps_of(run, w + l, p))
+                most = wp.max(most, steps_of(run, w + l, p))
+                for g in range(model.holds.shape[1]):
+                    until = end_of(run, w + l, p, run.steps[w + l, p])
+                    if paths_of.moves(w + l, g, run.begins[w + l, p], until, paths):
+                        moving |= 1 << g
+            for k in range(most):
+                if k < 2 or moving != 0:
+                    for l in range(lanes):
+                        own = w + l
+                        if k < 2:
+                            kick = kick_of(run, own, p, k)
+                            native.set_pace(model, w, l, real(run.dt[own, p]), kick)
+                        for g in range(model.holds.shape[1]):
+                            if k == 0 or (moving >> g) & 1 == 1:
+                                t = end_of(run, own, p, k)
+                                centre, q, _knot = paths_of.placed(own, g, t, paths)
+                                native.set_pose(model, w, l, g, vec3(centre), quat(q))
+                native.step_abreast(model, w)
+                if k + 1 >= least or (k + 1) % CHECKED == 0:
+                    for l in range(lanes):
+                        own, count = w + l, steps_of(run, w + l, p)
+                        if k + 1 == count or (k < count and (k + 1) % CHECKED == 0):
+                            native.alight(model, w, l, run.state, own)
+                            bad = int(0)
+                            if not native.worst_stretch(model, w, l) <= limit:
+                                bad = 1
+                            if not native.mean_stretch(model, run.state, own) <= mean_limit:
+                                bad = 1
+                            if bad != 0:
+                                stop(run, own, p, k)
+            for l in range(lanes):
+                count = steps_of(run, w + l, p)
+                if count >= 0:
+                    record(model, run, w + l, p, w + l, 0, 1)
+                if count < most:
+                    native.reboard(model, w, l, run.state, w + l)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def reverse(

@@ -31,7 +31,7 @@ class ThinTape:
         self.rounds: list[tuple[slice, list[Event], Array, Array, Array]] = []
         """Groups of worlds, and of each part of their run between two events: what happens at its
         start, its pieces [k, 2], and what grippers hold."""
-        engine.load("reverse", "begin_adjoint")
+        engine.load("advance", "reverse", "begin_adjoint")
 
     def forward(self, times: Array, began: float) -> Array:
         """Simulate, and return points at the given times, [T, W, n, 3] [m]."""

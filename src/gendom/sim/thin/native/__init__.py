@@ -15,7 +15,7 @@ from gendom.sim.thin.types import make_types
 MODULE_OPTIONS = module_options(
     __name__,
     "surroundings.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "registers.h",
-    "shell.h",
+    "abreast.h", "shell.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
 
@@ -96,6 +96,34 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
         model: ThinModel, w: int, own: wp.ref[Registers], holds: Holds, ahead: int, apart: int,
         dt: real, kick: real, shares: vec3,
     ) -> real: ...  # fmt: skip
+
+    # rods side by side
+
+    of_row = f"gendom::rows_of<{number}>(state, row)"
+
+    @wp.func_native(f"return gendom::abreast<{number}>::lanes;")
+    def lanes() -> int: ...
+
+    @wp.func_native("gendom::board(model, w, count, state);")
+    def board(model: ThinModel, w: int, count: int, state: rows): ...
+
+    @wp.func_native(f"gendom::carry<false>(model, w, l, {of_row}, 0, gendom::state_rows);")
+    def alight(model: ThinModel, w: int, l: int, state: rows, row: int): ...
+
+    @wp.func_native(f"gendom::carry<true>(model, w, l, {of_row}, 0, gendom::state_rows);")
+    def reboard(model: ThinModel, w: int, l: int, state: rows, row: int): ...
+
+    @wp.func_native("gendom::set_pace(model, w, l, dt, kick);")
+    def set_pace(model: ThinModel, w: int, l: int, dt: real, kick: real): ...
+
+    @wp.func_native("gendom::set_pose(model, w, l, g, centre, turned);")
+    def set_pose(model: ThinModel, w: int, l: int, g: int, centre: vec3, turned: quat): ...
+
+    @wp.func_native(f"gendom::step_abreast<{number}>(model, w);")
+    def step_abreast(model: ThinModel, w: int): ...
+
+    @wp.func_native(f"return gendom::worst_stretch<{number}>(model, w, l);")
+    def worst_stretch(model: ThinModel, w: int, l: int) -> real: ...
 
     # contact of a body with itself; kernels with rods in registers have no shared memory for it
 

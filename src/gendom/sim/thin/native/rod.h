@@ -89,10 +89,10 @@ template <typename real> struct viscosity {
 };
 
 // Of one edge and joint: forces and torques in the scratch; the lagged strains go on. Returns the squared stretch.
-template <typename T, typename State, typename To, typename Out, typename real>
-CUDA_CALLABLE inline T rod_forces_at(int i, const State& s, const To& to, const Out& out,
-                                     const rows_of<real>& rest, const rows_of<real>& k,
-                                     const rows_of<real>& m, const T& c, const T& a) {
+template <typename T, typename State, typename To, typename Out, typename Fixed>
+CUDA_CALLABLE inline T rod_forces_at(int i, const State& s, const To& to, const Out& out, const Fixed& rest,
+                                     const Fixed& k, const Fixed& m, const T& c, const T& a) {
+    typedef typename number_of<T>::type real;
     const quat<T> q = s.template get4<T>(Q, i);
     const rod_edge<T> edge(s.template get3<T>(X, i + 1) - s.template get3<T>(X, i), q,
                            rest.template get<T>(PER_LENGTH, i), rest.template get3<T>(REST_E, i));
@@ -110,7 +110,7 @@ CUDA_CALLABLE inline T rod_forces_at(int i, const State& s, const To& to, const 
                           (joint.u + c * late_u);
     to.put3(LAG_U, i, lag_u + a * late_u);
     out.put3(MOMENT, i, directors<T>(before).to_world(joint.turn_gradient(stress)));
-    return edge.e.z * edge.e.z * is_above(edge.per_length, T(real(0)));
+    return edge.e.z * edge.e.z;  // 0 where there is no edge
 }
 
 // Of all of them; returns the largest squared stretch, not a number if any is not.
@@ -154,9 +154,10 @@ CUDA_CALLABLE inline real rod_stretch(const Model& model, const wp::array_t<real
 }
 
 // Velocity, position and direction at the end of a step, of what nobody holds.
-template <typename T, typename State, typename To, typename In, typename real>
-CUDA_CALLABLE inline void rod_move_at(int i, const State& s, const To& to, const In& in,
-                                      const rows_of<real>& m, const motion<T>& go) {
+template <typename T, typename Around, typename State, typename To, typename In, typename Fixed>
+CUDA_CALLABLE inline void rod_move_at(int i, const State& s, const To& to, const In& in, const Fixed& m,
+                                      const motion<T, Around>& go) {
+    typedef typename number_of<T>::type real;
     const T one = T(real(1)), half = T(real(0.5));
     const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
     const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);

@@ -140,17 +140,26 @@ template <typename T, typename Place> struct touch {
     }
 };
 
-// All of a world's obstacles, the table last.
-template <typename T> struct surroundings {
-    typedef typename number_of<T>::type real;
+// What there is without obstacles.
+template <typename T> struct on_table {
     T h, mu, radius;
     bool table;
+
+    CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& v) const {
+        return table ? touch<T, over_table<T>>(over_table<T>(x), v, h, mu, radius).velocity() : v;
+    }
+};
+
+// All of a world's obstacles, the table last.
+template <typename T> struct surroundings : on_table<T> {
+    typedef typename number_of<T>::type real;
+    using on_table<T>::h; using on_table<T>::mu; using on_table<T>::radius; using on_table<T>::table;
     int count;
     const real* first;
 
     template <typename Model>
     CUDA_CALLABLE inline surroundings(const Model& model, int w, real dt)
-        : h(T(dt)), mu(T(wp::index(model.friction, w))), radius(T(model.radius)), table(model.table),
+        : on_table<T>{T(dt), T(wp::index(model.friction, w)), T(model.radius), bool(model.table)},
           count(model.obstacles.shape[1]), first(count ? &wp::index(model.obstacles, w, 0, 0) : nullptr) {}
 
     CUDA_CALLABLE inline const real* of(int o) const { return first + o * OBSTACLE; }
@@ -164,7 +173,7 @@ template <typename T> struct surroundings {
     CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& free) const {
         vec<T> v = free;
         if (count) stopped_by(count, x, v);
-        return table ? touch<T, over_table<T>>(over_table<T>(x), v, h, mu, radius).velocity() : v;
+        return on_table<T>::stopped(x, v);
     }
     // Transposes: derivatives by x are added, those by v replaced.
     CUDA_CALLABLE inline void stopped_adjoint(const rows_of<real>& by, int i, const vec<T>& x,
@@ -224,11 +233,11 @@ template <typename T> struct surroundings {
 };
 
 // How the points that nobody holds move in a step of dt, `kick` after the middle of the one before.
-template <typename T> struct motion {
+template <typename T, typename Around = surroundings<T>> struct motion {
     typedef typename number_of<T>::type real;
     T h, kick, keep;
     vec<T> gravity;
-    surroundings<T> around;
+    Around around;
 
     template <typename Model>
     CUDA_CALLABLE inline motion(const Model& model, int w, real dt, real kick)
@@ -236,6 +245,8 @@ template <typename T> struct motion {
     template <typename Model>
     CUDA_CALLABLE inline motion(const Model& model, int w, real dt, real kick, real keep)
         : h(T(dt)), kick(T(kick)), keep(T(keep)), gravity(gravity_of<T>(model, w)), around(model, w, dt) {}
+    CUDA_CALLABLE inline motion(const T& kick, const T& keep, const vec<T>& gravity, const Around& around)
+        : h(around.h), kick(kick), keep(keep), gravity(gravity), around(around) {}
 
     CUDA_CALLABLE inline vec<T> free(const vec<T>& v0, const T& per_mass, const vec<T>& f) const {
         return keep * (v0 + kick * (per_mass * f + gravity));
