@@ -29,8 +29,7 @@ FIXED = ["rope", "--length", "0.25", "--diameter", "0.012"]
 
 @pytest.mark.slow
 def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
-    """Estimates from the simulated clouds themselves have the deviations that were forecast, of a
-    diameter that is known, in the median of five objects; steps along a curved valley differ."""
+    """In the median of five objects of known diameter: steps along a curved valley differ."""
     clouds, imagined, ratios = [], lift_plan.imagined, []
     monkeypatch.setattr(lift_plan, "imagined", lambda *a: clouds.extend(imagined(*a)) or clouds)
     trial = lift(as_real(ROPES.at(0.5)), LiftMotion(kind="rope", rise=1.0, speed=0.1, end="swing"))

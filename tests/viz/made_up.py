@@ -115,9 +115,8 @@ def record_of(truth, recording, points, compared):
         "simulation": {"engine": "thin", "points": points, "cells_across": 1.5},
     }  # fmt: skip
     held, kind = recording.object, recording.object.kind
-    sizes = ("length", "diameter", "mass")
-    if kind == "cloth":
-        sizes = ("width", "height", "thickness", "mass")
+    sizes = ("length", "diameter") if kind == "rope" else ("width", "height", "thickness")
+    sizes = (*sizes, "mass")
     return Estimate(
         kind=kind,
         known={**{name: getattr(held, name) for name in sizes}, "density": 800.0, "nu": truth.nu},
