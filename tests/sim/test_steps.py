@@ -88,11 +88,11 @@ def test_what_is_let_go_flies_on_with_the_hand():
     assert np.abs(stood.velocities()[0, 0]).max() < 0.05
 
 
-@pytest.mark.parametrize("abreast", [False, True])
-def test_worlds_step_as_each_does_alone_and_go_on_where_another_ends(abreast):
+@pytest.mark.parametrize("interleaved", [False, True])
+def test_worlds_step_as_each_does_alone_and_go_on_where_another_ends(interleaved):
     """Each with its own substep; the last one's gripper leaves what it holds behind."""
     materials = [replace(SOFT, E=E) for E in (5e5, 2e6, 8e5)]
-    solver = Solver(abreast=abreast)
+    solver = Solver(interleaved=interleaved)
 
     def led(which):
         made = Simulator(ROPE, [materials[w] for w in which], grippers=[still()], solver=solver)

@@ -59,7 +59,7 @@ class Command(Where):
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
         dtype = "float32" if self.engine == "thin" else None
-        simulation = Simulation(engine=self.engine, dtype=dtype, abreast=True)
+        simulation = Simulation(engine=self.engine, dtype=dtype, interleaved=True)
         world, items = self.world_and_items(simulation)
         acts = None
         if self.policy is not None:

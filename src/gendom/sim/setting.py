@@ -118,7 +118,7 @@ class Solver:
     """``cpu``, ``cuda``, ``cuda:0`` and so on."""
     threads: int | None = None
     """Worlds simulated in parallel on the CPU (default: all cores available to the process)."""
-    abreast: bool = False
+    interleaved: bool = False
     """Whether rods that meet neither obstacles nor themselves are side by side in the SIMD lanes of
     a CPU: many take half as long, a single one up to five times. Rounding differs."""
 
@@ -168,7 +168,7 @@ class Setting(Physics):
     dtype: str
     device: Any
     threads: int
-    abreast: bool = False
+    interleaved: bool = False
     substep: Array = field(default_factory=lambda: np.empty(0))
     """[W] longest substep of each world [s]."""
 

@@ -106,7 +106,7 @@ class Simulator(Shown):
         setting = Setting(
             body=body, materials=self.materials, parameters=parameters, grippers=hands,
             table=table, obstacles=every, positions=x, start_time=start_time, dtype=self.dtype,
-            device=self.device, threads=solver.threads or cores(), abreast=solver.abreast,
+            device=self.device, threads=solver.threads or cores(), interleaved=solver.interleaved,
             variation=variation, **vars(physics),
         )  # fmt: skip
         kind = ThinEngine if thin else MpmEngine

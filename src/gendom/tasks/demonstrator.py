@@ -25,7 +25,7 @@ class Demonstrator:
     """Draws demonstrations of a task and carries them out, see `gendom.datasets.generate`."""
 
     task: Task
-    world: World = field(default_factory=lambda: Simulation(abreast=True))
+    world: World = field(default_factory=lambda: Simulation(interleaved=True))
     items: tuple[Item, ...] = ()
     """Objects to draw from in place of the task's own."""
     acts: Callable[[Cases], Array] | None = None

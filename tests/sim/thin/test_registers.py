@@ -54,10 +54,10 @@ def test_rods_in_registers_move_as_those_in_memory(points, dtype, bound):
 
 
 @pytest.mark.parametrize(("dtype", "bound"), [("float64", 1e-11), ("float32", 2e-5)])
-def test_rods_abreast_move_as_others_whatever_is_beside_them(dtype, bound):
+def test_interleaved_rods_move_as_others_whatever_is_beside_them(dtype, bound):
     many = [0, 1, 2, 1, 0, 0, 1] * 3
-    one, few = (scene(25, "cpu", dtype, boxes=0, abreast=of) for of in (False, True))
-    together = scene(25, "cpu", dtype, many, boxes=0, abreast=True)
+    one, few = (scene(25, "cpu", dtype, boxes=0, interleaved=of) for of in (False, True))
+    together = scene(25, "cpu", dtype, many, boxes=0, interleaved=True)
     x, y, z = (s.run(TIMES, keep_going=True) for s in (one, few, together))
     np.testing.assert_allclose(y, x, rtol=0.0, atol=bound)
     np.testing.assert_array_equal(z, y[:, many])

@@ -66,7 +66,7 @@ class ThinEngine(Engine):
         self.held = -(-n // 32) if s.device.is_cuda and short and not s.self_contact else 0
         """Points of a rod that a thread's registers hold; 0: its state is in memory."""
         alone = m.kind == "rod" and not s.self_contact and not any(s.obstacles)
-        self.abreast = s.abreast and alone and not s.device.is_cuda
+        self.interleaved = s.interleaved and alone and not s.device.is_cuda
         """Whether worlds are side by side in the lanes of a CPU."""
         self.kernels = make_kernels(self.real, m.kind, self.held, *self._room())
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
@@ -102,7 +102,7 @@ class ThinEngine(Engine):
         """The state on the host until something moves, or None."""
         self.state.assign(np.ascontiguousarray(self.first))
         self._loaded: set[str] = set()
-        self.load("begin", "advance_abreast" if self.abreast else "advance")
+        self.load("begin", "advance_interleaved" if self.interleaved else "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.device_model, self.state])
 
     def _first_state(self, different: Array) -> Array:
@@ -272,7 +272,7 @@ class ThinEngine(Engine):
         W = self.num_worlds
         most = max(most, W // SHARES)
         size = W if self.threads > 1 else max(least, min(most, -(-W // self.setting.threads)))
-        size = -(-size // LANES) * LANES if self.abreast else size
+        size = -(-size // LANES) * LANES if self.interleaved else size
         return [slice(first, min(first + size, W)) for first in range(0, W, size)]
 
     def _failure(self, w: int, s: int, run: Any) -> SimulationError:
@@ -445,8 +445,8 @@ class ThinEngine(Engine):
         )  # fmt: skip
         made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
         room = 28 + 7 * self.closed.shape[1] + 36 * (n + 2) + 10 * (self.holds[0].size + 1)
-        # the last train takes no less than others
-        made.abreast = self.zeros((W + LANES, room) if self.abreast else (0, 0))
+        # aligned; the last group takes no less than others
+        made.interleaved = self.zeros((W + LANES, room) if self.interleaved else (0, 0))
         made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         paths = dict(Grippers.of(s.obstacles).arrays)
         paths["position"] = paths["position"] - self.origin

@@ -173,8 +173,8 @@ class Run:
         e, own, which = self._engine, self._launches, (group.start, group.stop)
         if which not in own:
             given = [e.device_model, e.device_paths, self.on_device]
-            if e.abreast and self.on_device.every < 0:
-                kernel, given = e.kernels.advance_abreast, [group.stop, *given]
+            if e.interleaved and self.on_device.every < 0:
+                kernel, given = e.kernels.advance_interleaved, [group.stop, *given]
             else:
                 kernel = e.kernels.advance
             own[which] = e.launch(kernel, group, given, record_cmd=True)

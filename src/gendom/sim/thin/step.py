@@ -6,7 +6,7 @@ directions to its end. Contact with the table and obstacles changes velocities s
 in one of them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
 world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU. Between steps
 its state is in rows in memory, that of short rods on CUDA in registers. Many rods without contact
-are side by side on the CPU, a lane each (``advance_abreast``).
+are side by side on the CPU, a lane each (``advance_interleaved``).
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -325,7 +325,7 @@ def make_kernels(
         return count
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def advance_abreast(
+    def advance_interleaved(
         first: int, threads: int, end: int, model: ThinModel, paths: Paths, run: ThinRun
     ):  # fmt: skip
         """As ``advance`` of rods that meet neither obstacles nor themselves, each in a lane of a
@@ -334,7 +334,7 @@ def make_kernels(
             return
         w = first + wp.tid()
         lanes = wp.min(native.lanes(), end - w)
-        native.board(model, w, lanes, run.state)
+        native.load_lanes(model, w, lanes, run.state)
         for l in range(lanes):
             if run.span.shape[0] > 0:
                 divide(run, w + l)
@@ -353,18 +353,18 @@ def make_kernels(
                         own = w + l
                         if k < 2:
                             kick = kick_of(run, own, p, k)
-                            native.set_pace(model, w, l, real(run.dt[own, p]), kick)
+                            native.set_step(model, w, l, real(run.dt[own, p]), kick)
                         for g in range(model.holds.shape[1]):
                             if k == 0 or (moving >> g) & 1 == 1:
                                 t = end_of(run, own, p, k)
                                 centre, q, _knot = paths_of.placed(own, g, t, paths)
                                 native.set_pose(model, w, l, g, vec3(centre), quat(q))
-                native.step_abreast(model, w)
+                native.step_interleaved(model, w)
                 if k + 1 >= least or (k + 1) % CHECKED == 0:
                     for l in range(lanes):
                         own, count = w + l, steps_of(run, w + l, p)
                         if k + 1 == count or (k < count and (k + 1) % CHECKED == 0):
-                            native.alight(model, w, l, run.state, own)
+                            native.store_lane(model, w, l, run.state, own)
                             bad = int(0)
                             if not native.worst_stretch(model, w, l) <= limit:
                                 bad = 1
@@ -377,7 +377,7 @@ def make_kernels(
                 if count >= 0:
                     record(model, run, w + l, p, w + l, 0, 1)
                 if count < most:
-                    native.reboard(model, w, l, run.state, w + l)
+                    native.load_lane(model, w, l, run.state, w + l)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def reverse(

@@ -119,7 +119,7 @@ def make_types(real: Any) -> SimpleNamespace:
         inertia: wp.array3d(dtype=real)  # [W, ., P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         in_shared: int  # whether that and the boxes are in shared memory
-        abreast: wp.array2d(dtype=real)  # [W, .] of rods side by side, see ``native/abreast.h``
+        interleaved: wp.array2d(dtype=real)  # [W, .], see ``native/interleaved.h``
         damping: wp.array(dtype=real)  # [W] [s]
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
         friction: wp.array(dtype=real)  # [W]

@@ -15,7 +15,7 @@ from gendom.sim.thin.types import make_types
 MODULE_OPTIONS = module_options(
     __name__,
     "surroundings.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "registers.h",
-    "abreast.h", "shell.h",
+    "interleaved.h", "shell.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
 
@@ -101,26 +101,26 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
 
     of_row = f"gendom::rows_of<{number}>(state, row)"
 
-    @wp.func_native(f"return gendom::abreast<{number}>::lanes;")
+    @wp.func_native(f"return gendom::interleaved<{number}>::lanes;")
     def lanes() -> int: ...
 
-    @wp.func_native("gendom::board(model, w, count, state);")
-    def board(model: ThinModel, w: int, count: int, state: rows): ...
+    @wp.func_native("gendom::load_lanes(model, w, count, state);")
+    def load_lanes(model: ThinModel, w: int, count: int, state: rows): ...
 
-    @wp.func_native(f"gendom::carry<false>(model, w, l, {of_row}, 0, gendom::state_rows);")
-    def alight(model: ThinModel, w: int, l: int, state: rows, row: int): ...
+    @wp.func_native(f"gendom::copy_lane<false>(model, w, l, {of_row}, 0, gendom::state_rows);")
+    def store_lane(model: ThinModel, w: int, l: int, state: rows, row: int): ...
 
-    @wp.func_native(f"gendom::carry<true>(model, w, l, {of_row}, 0, gendom::state_rows);")
-    def reboard(model: ThinModel, w: int, l: int, state: rows, row: int): ...
+    @wp.func_native(f"gendom::copy_lane<true>(model, w, l, {of_row}, 0, gendom::state_rows);")
+    def load_lane(model: ThinModel, w: int, l: int, state: rows, row: int): ...
 
-    @wp.func_native("gendom::set_pace(model, w, l, dt, kick);")
-    def set_pace(model: ThinModel, w: int, l: int, dt: real, kick: real): ...
+    @wp.func_native("gendom::set_step(model, w, l, dt, kick);")
+    def set_step(model: ThinModel, w: int, l: int, dt: real, kick: real): ...
 
     @wp.func_native("gendom::set_pose(model, w, l, g, centre, turned);")
     def set_pose(model: ThinModel, w: int, l: int, g: int, centre: vec3, turned: quat): ...
 
-    @wp.func_native(f"gendom::step_abreast<{number}>(model, w);")
-    def step_abreast(model: ThinModel, w: int): ...
+    @wp.func_native(f"gendom::step_interleaved<{number}>(model, w);")
+    def step_interleaved(model: ThinModel, w: int): ...
 
     @wp.func_native(f"return gendom::worst_stretch<{number}>(model, w, l);")
     def worst_stretch(model: ThinModel, w: int, l: int) -> real: ...

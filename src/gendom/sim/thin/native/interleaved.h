@@ -34,8 +34,8 @@ template <typename T> struct held_point {
     T point, edge;
 };
 
-// A train of rods; then come poses of grippers, points, and held ones. The engine makes room for it.
-template <typename real> struct abreast {
+// What a group of rods shares; then come poses of grippers, points, and held ones. `ThinEngine` makes room for all, see `of`.
+template <typename real> struct interleaved {
     typedef typename several<real>::lanes T;
     static constexpr int lanes = sizeof(T) / sizeof(real);
 
@@ -44,8 +44,9 @@ template <typename real> struct abreast {
     T worst, sum;  // of squared stretches since the last look
     int held;
 
-    template <typename Model> static inline abreast& of(const Model& model, int w) {
-        return *(abreast*)(((unsigned long long)&wp::index(model.abreast, w, 0) + 63) / 64 * 64);
+    template <typename Model> static inline interleaved& of(const Model& model, int w) {
+        static_assert(sizeof(interleaved) <= 12 * sizeof(T) && sizeof(held_point<T>) <= 10 * sizeof(T) && point_rows <= 36);
+        return *(interleaved*)(((unsigned long long)&wp::index(model.interleaved, w, 0) + 63) / 64 * 64);
     }
     inline pose<T>* poses() { return (pose<T>*)(this + 1); }
     template <typename Model> inline T* points(const Model& model) {
@@ -62,11 +63,11 @@ template <typename real> struct abreast {
 
 // Copies `count` components of all points, from a first one on, to a lane, or from there.
 template <bool to_lane, typename Model, typename real>
-inline void carry(const Model& model, int w, int l, const rows_of<real>& rows, int first, int count) {
-    auto* points = abreast<real>::of(model, w).points(model) + first;
+inline void copy_lane(const Model& model, int w, int l, const rows_of<real>& rows, int first, int count) {
+    auto* points = interleaved<real>::of(model, w).points(model) + first;
     for (int c = 0; c < count; ++c)
         for (int i = 0; i < model.points; ++i) {
-            real& own = abreast<real>::lane(points[i * point_rows + c], l);
+            real& own = interleaved<real>::lane(points[i * point_rows + c], l);
             if (to_lane) own = rows.at(c, i);
             else rows.at(c, i) = own;
         }
@@ -74,8 +75,8 @@ inline void carry(const Model& model, int w, int l, const rows_of<real>& rows, i
 
 // State and model of `count` worlds from w on; lanes beyond are the last one's.
 template <typename Model, typename real>
-inline void board(const Model& model, int w, int count, const wp::array_t<real>& state) {
-    abreast<real>& own = abreast<real>::of(model, w);
+inline void load_lanes(const Model& model, int w, int count, const wp::array_t<real>& state) {
+    interleaved<real>& own = interleaved<real>::of(model, w);
     for (int k = -point_rows; k < (model.points + 1) * point_rows; ++k) own.points(model)[k] = 0;
     own.worst = own.sum = 0;
     own.held = 0;
@@ -84,10 +85,10 @@ inline void board(const Model& model, int w, int count, const wp::array_t<real>&
         const auto& g = wp::index(model.gravity, from);
         own.set(own.gravity, l, g[0], g[1], g[2]);
         own.lane(own.friction, l) = wp::index(model.friction, from);
-        carry<true, Model, real>(model, w, l, {state, from}, 0, state_rows);
-        carry<true, Model, real>(model, w, l, {model.rest, from}, state_rows, 7);
-        carry<true, Model, real>(model, w, l, {model.stiffness, from}, state_rows + 7, 6);
-        carry<true, Model, real>(model, w, l, {model.inertia, from}, state_rows + 13, 4);
+        copy_lane<true, Model, real>(model, w, l, {state, from}, 0, state_rows);
+        copy_lane<true, Model, real>(model, w, l, {model.rest, from}, state_rows, 7);
+        copy_lane<true, Model, real>(model, w, l, {model.stiffness, from}, state_rows + 7, 6);
+        copy_lane<true, Model, real>(model, w, l, {model.inertia, from}, state_rows + 13, 4);
     }
     for (int g = 0; g < model.holds.shape[1]; ++g)
         for (int i = 0; i < model.points; ++i) {
@@ -108,8 +109,8 @@ inline void board(const Model& model, int w, int count, const wp::array_t<real>&
 }
 
 template <typename Model, typename real>
-inline void set_pace(const Model& model, int w, int l, real dt, real kick) {
-    abreast<real>& own = abreast<real>::of(model, w);
+inline void set_step(const Model& model, int w, int l, real dt, real kick) {
+    interleaved<real>& own = interleaved<real>::of(model, w);
     const viscosity<real> visc(wp::index(model.damping, w + l), dt);
     own.lane(own.h, l) = dt, own.lane(own.kick, l) = kick;
     own.lane(own.keep, l) = wp::exp(-kick * wp::index(model.velocity_damping, w + l));
@@ -118,7 +119,7 @@ inline void set_pace(const Model& model, int w, int l, real dt, real kick) {
 
 template <typename Model, typename real>
 inline void set_pose(const Model& model, int w, int l, int g, const wp::vec_t<3, real>& c, const wp::quat_t<real>& q) {
-    abreast<real>& own = abreast<real>::of(model, w);
+    interleaved<real>& own = interleaved<real>::of(model, w);
     auto& at = own.poses()[g];
     own.set(at.centre, l, c[0], c[1], c[2]), own.set(at.by.v, l, q.x, q.y, q.z);
     own.lane(at.by.w, l) = q.w;
@@ -131,9 +132,9 @@ template <typename T> inline vec<T> chosen(const T& holds, const vec<T>& a, cons
 }
 
 // As `rod_forces`, `rod_move` and `hold`.
-template <typename real, typename Model> inline void step_abreast(const Model& model, int w) {
+template <typename real, typename Model> inline void step_interleaved(const Model& model, int w) {
     typedef typename several<real>::lanes T;
-    abreast<real>& own = abreast<real>::of(model, w);
+    interleaved<real>& own = interleaved<real>::of(model, w);
     const on_table<T> around = {own.h, own.friction, T(model.radius), bool(model.table)};
     const motion<T, on_table<T>> go(own.kick, own.keep, own.gravity, around);
     const T c = own.share, a = own.follows;
@@ -167,7 +168,7 @@ template <typename real, typename Model> inline void step_abreast(const Model& m
 
 // As `rod_forces` returns it, of a lane's steps since the last look.
 template <typename real, typename Model> inline real worst_stretch(const Model& model, int w, int l) {
-    abreast<real>& own = abreast<real>::of(model, w);
+    interleaved<real>& own = interleaved<real>::of(model, w);
     real &sum = own.lane(own.sum, l), &worst = own.lane(own.worst, l);
     const real found = sum == sum ? worst : sum;
     sum = worst = real(0);
