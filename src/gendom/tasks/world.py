@@ -55,8 +55,6 @@ class Simulation:
     """Grid cells across a rope's diameter, or in a fifteenth of a cloth's side; of the MPM."""
     air_density: float = AIR_DENSITY
     """[kg/m^3]."""
-    rope_cfl: float = 0.95
-    """Steps of ropes as rods over the longest stable ones: 0.7 to 0.95 reach alike to 1e-4 L."""
     interleaved: bool | None = None
     """As of `Solver`. None: of `MANY` objects and more. Data sets, which are simulated in parts,
     always are: an object's rounding does not depend on those beside it."""
@@ -115,7 +113,7 @@ class Simulation:
 
     def settings(self) -> dict[str, Any]:
         """As `World.settings`."""
-        names = ("engine", "dtype", "cells_across", "air_density", "rope_cfl")
+        names = ("engine", "dtype", "cells_across", "air_density")
         return {name: getattr(self, name) for name in names}
 
     def simulator(
@@ -151,7 +149,6 @@ class Simulation:
                 dtype=self.dtype,
                 device=self.device,
                 threads=self.threads,
-                cfl=self.rope_cfl if self.engine == "thin" and task.kind == "rope" else None,
                 interleaved=len(items) >= MANY if self.interleaved is None else self.interleaved,
             ),
         )

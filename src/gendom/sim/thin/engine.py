@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from gendom.sim.thin.rods import RodModel
 from gendom.sim.thin.run import Event, Run, Schedule, put
 from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.step import make_kernels
-from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
+from gendom.sim.thin.types import SPIN, Q, V, X, make_types
 
 SHORTEST_SUBSTEP = 1e-9
 """Below, the steps of two seconds outnumber their counter of 32 bits [s]."""
@@ -56,7 +57,7 @@ class ThinEngine(Engine):
         self.air_density = spread(setting.air_density, (W,), "air_density")
         self.model = m = (RodModel if setting.body.kind == "rope" else ShellModel)(setting)
         damping = setting.parameters["damping"]
-        share = cfl or np.where(damping > 0.0, CFL, m.undamped_cfl)
+        share = cfl or np.where(damping > 0.0, m.cfl, m.undamped_cfl)
         limits = substep or share * m.longest_step()
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         fix = "a softer or denser material, fewer points, or a longer substep"
@@ -268,12 +269,18 @@ class ThinEngine(Engine):
         return errors
 
     def groups(self, most: int = GROUP, least: int = 1) -> list[slice]:
-        """Groups of worlds, at least and at most so many, that are launched together."""
-        W = self.num_worlds
+        """Groups of worlds, at least and at most so many, that are launched together; with as many
+        steps where each thread of a CPU takes one."""
+        W, threads = self.num_worlds, self.setting.threads
         most = max(most, W // SHARES)
-        size = W if self.threads > 1 else max(least, min(most, -(-W // self.setting.threads)))
+        size = W if self.threads > 1 else max(least, min(most, -(-W // threads)))
         size = -(-size // LANES) * LANES if self.interleaved else size
-        return [slice(first, min(first + size, W)) for first in range(0, W, size)]
+        ends = np.arange(0, W + size, size).clip(max=W)
+        if len(ends) == threads + 1 and not self.interleaved:
+            steps = 1.0 / self.setting.substep
+            done = (np.cumsum(steps) - 0.5 * steps) / steps.sum()
+            ends[1:-1] = np.searchsorted(done, np.arange(1, threads) / threads)
+        return [slice(first, end) for first, end in pairwise(ends.tolist()) if end > first]
 
     def _failure(self, w: int, s: int, run: Any) -> SimulationError:
         """Why world w stopped in piece s of a run on the device."""

@@ -19,7 +19,6 @@ from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import check_rope
 from gendom.sim.thin.types import (
-    CFL,
     MARGIN,
     PER_TURN,
     SPIN_BAR,
@@ -51,8 +50,8 @@ class RodModel:
     """Numbers of components of states, of derivatives by states, and of their scratch arrays."""
     threads_on_cuda: ClassVar = 32
     """Of a world."""
-    undamped_cfl: ClassVar = CFL
-    """As ``CFL``, of worlds without damping."""
+    cfl = undamped_cfl = 0.95
+    """Default shares of the longest stable step of small vibrations, damped and undamped."""
     woven: ClassVar[tuple[str, ...]] = ()
     """Parameters of threads."""
     border_rows: ClassVar = [1, 3]

@@ -32,7 +32,7 @@ class ShellModel:
     directed: ClassVar = False
     state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 21, 33
     threads_on_cuda: ClassVar = 256
-    undamped_cfl: ClassVar = 0.4
+    cfl, undamped_cfl = 0.8, 0.4
     """Nonlinear vibrations gain energy in longer steps, see ``benchmarks/swing.py``."""
     woven: ClassVar[tuple[str, ...]] = WEAVE
     border_rows: ClassVar = [2, 3]

@@ -21,9 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arrays import Array
 from gendom.sim.paths import make_path_type
 
-CFL = 0.8
-"""Default share of the longest stable step of small vibrations, of damped bodies and rods."""
-
 MARGIN = 8
 """Length of the margin at the start of a row."""
 
