@@ -12,6 +12,7 @@ import os
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -101,9 +102,13 @@ class Recording(RecordingData):
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, meta=np.array(meta), allow_pickle=False, **arrays)
 
+    @cached_property
+    def _faults(self) -> list[Fault]:
+        return check(self)
+
     def validate(self) -> list[Fault]:
         """Check the content and return all faults, errors before warnings."""
-        return check(self)
+        return [*self._faults]
 
     def require_valid(self, where: str, *, on_warning: Callable[[Fault], None]) -> None:
         """Check the content and refuse errors; `on_warning` is called with every other fault.

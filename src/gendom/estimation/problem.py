@@ -387,14 +387,16 @@ class Problem:
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
         part, every = self.parts[recording], [v for row in worlds for v in row]
-        x = middle(few, self.positions(every, recording, few))
+        with ThreadPoolExecutor(max_workers=1) as beside:
+            own = () if few is part.scene else [row[0] for row in worlds]
+            whole = beside.submit(self.positions, own, recording) if own else None
+            x = middle(few, self.positions(every, recording, few))
         rows = np.split(x, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
-        if few is part.scene:
+        if whole is None:
             return shapes, changes
-        to, of = part.observation.shape, Shape(few)
-        x = middle(part.scene, self.positions([row[0] for row in worlds], recording))
+        to, of, x = part.observation.shape, Shape(few), middle(part.scene, whole.result())
         return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def inherit_derivatives(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,18 +98,23 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
     skins, cameras = scene.body_of(theta).surface(x), scene.recording.camera_positions
     seen = list(skins)
     if scene.kind == "rope" or cameras is not None:
-        seen = [skin[visible(skin, camera_positions=cameras)] for skin in skins]
+        with ThreadPoolExecutor(max_workers=scene.settings.threads) as pool:
+            in_sight = pool.map(partial(visible, camera_positions=cameras), skins)
+            seen = [skin[own] for skin, own in zip(skins, in_sight, strict=True)]
     return _chamfer(scene, skins if scene.thin else x), _chamfer(scene, seen)
 
 
 def _chamfer(scene: LiftScene, every: Sequence[Array] | Array) -> Array:
     """[T] the distance of a scene's clouds from points of the object in each frame [m]."""
-    found, floor = [], -np.inf if scene.floor is None else scene.floor
-    for t, own in zip(scene.frames, every, strict=True):
+    floor = -np.inf if scene.floor is None else scene.floor
+
+    def one(t: int, own: Array) -> float:
         above = own[:, 2] > floor
         cloud = scene.recording.frame(t).astype(float)
-        found.append(chamfer(cloud, own, of_b=above if above.any() else ~above))
-    return np.array(found)
+        return chamfer(cloud, own, of_b=above if above.any() else ~above)
+
+    with ThreadPoolExecutor(max_workers=scene.settings.threads) as pool:
+        return np.array(list(pool.map(one, scene.frames, every)))
 
 
 def result_of(
