@@ -120,10 +120,9 @@ def discrepancy(
     wanted = np.sqrt(np.diag(covariance)) < IDENTIFIABLE * prior.sd
     wanted &= [UNKNOWNS[name].material and name not in INSTRUMENTED for name in prior.names]
     for k, part in enumerate(problem.parts):
-        by = _unexplained(found, part, k, calibration)
-        for p in part.shown:
-            own = _change(problem, vector, k, int(p), by) if wanted[p] and by > 0.0 else 0.0
-            sd[p] = min(sd[p], own)
+        own = wanted & np.isin(np.arange(len(sd)), part.shown)
+        changes = _changes(problem, vector, k, own, _unexplained(found, part, k, calibration))
+        sd[part.shown] = np.minimum(sd, changes)[part.shown]
     return np.where(np.isfinite(sd), sd, 0.0)
 
 
@@ -139,25 +138,31 @@ def _unexplained(
     return math.sqrt(max(noise.model**2 - max(usual, noise.least_model) ** 2, 0.0))
 
 
-def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) -> float:
-    """The change of unknown p beyond which every larger one, up or down, moves the shape by more
-    than this, root mean square of a coordinate [m]; at most the prior's deviation. A world that
-    diverges or lies beyond the range of the search says nothing."""
-    prior, part = problem.prior, problem.parts[recording]
-    scene = part.coarser
-    changes = prior.sd[p] * np.array([0.0, *SHARES])
-    ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
-    worlds = np.tile(vector, (ends.size, 1))
-    worlds[:, p] = np.clip(ends, prior.low[p], prior.high[p]).ravel()
-    x = middle(scene, problem.positions(list(worlds), recording, scene))
-    off = np.sqrt(np.mean((x - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(ends.shape)
-    says = (ends >= prior.low[p]) & (ends <= prior.high[p]) & np.isfinite(off)
-    # in the direction that moves it less
-    moved = np.where(says, off, np.inf).min(axis=0)
-    moved[0] = 0.0
-    n = int(np.flatnonzero(moved < by)[-1])
-    # linear between changes that were simulated
-    return float(np.interp(by, moved[n : n + 2], changes[n : n + 2], right=prior.sd[p]))
+def _changes(problem: Problem, vector: Array, recording: int, wanted: Array, by: float) -> Array:
+    """[P] of each unknown that is wanted [P] the change beyond which every larger one, up or down,
+    moves the shape by more than this, root mean square of a coordinate [m]; at most the prior's
+    deviation. A world that diverges or lies beyond the range of the search says nothing."""
+    prior, scene, found = problem.prior, problem.parts[recording].coarser, np.zeros(len(vector))
+    going = np.flatnonzero(wanted & (by > 0.0))
+    larger = np.tile([[by], [1.0]], len(vector))
+    for share in (*SHARES[::-1], 0.0):  # most unknowns end with the largest
+        moved = np.zeros(len(going))
+        if share > 0.0 and len(going):
+            worlds = np.tile(vector, (2, len(going), 1))
+            ways = np.array([[-share], [share]]) * prior.sd[going]
+            worlds[:, np.arange(len(going)), going] += ways
+            every = [vector, *prior.clipped(worlds).reshape(-1, len(vector))]
+            x = middle(scene, problem.positions(every, recording, scene))
+            off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
+            says = (worlds == prior.clipped(worlds)).all(axis=2) & np.isfinite(off)
+            # in the direction that moves it less
+            moved = np.where(says, off, np.inf).min(axis=0)
+        for p, least in zip(going, moved, strict=True):
+            if least < by:  # linear between changes that were simulated
+                of = [least, larger[0, p]], [share, larger[1, p]]
+                found[p] = prior.sd[p] * np.interp(by, *of)
+        larger[:, going], going = (moved, np.full(len(going), share)), going[moved >= by]
+    return found
 
 
 def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
