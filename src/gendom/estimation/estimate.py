@@ -74,7 +74,7 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    search, times = find_method(settings.method), [clock.perf_counter()]
+    search, began = find_method(settings.method), clock.perf_counter()
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
     check_list("recordings", recordings, Recording)
     names = names or recording_names(len(recordings))
@@ -85,24 +85,21 @@ def estimate(
     with threadpool_limits(limits=1, user_api="blas"):
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
-        times.append(clock.perf_counter())
         found, added, said = _searched(problem, search)
         problem = found.problem or problem
-        times.append(clock.perf_counter())
         cable = len(problem.scene.held) > 1 and not problem.scene.static
         shown = "cable" if cable else problem.scene.kind
         calibration = calibration or IntervalCalibration.of(shown, settings.frames)
         posterior = posterior_of(problem, found, calibration, added)
         alone = _alone(problem, found, posterior, calibration)
-        times.append(clock.perf_counter())
+        seconds = clock.perf_counter() - began
         verdict = judge(problem, found, posterior, alone)
         if "E_over_rho" in posterior.names and "thickness" not in posterior.names:
             posterior = posterior.with_assumed(problem.scene.prior(("thickness",))[0])
         if not verdict.usable:
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
-        seconds = zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True)
         said = (*said, *told_apart(problem, found))
-        return result_of(problem, found, posterior, alone, verdict, dict(seconds), said)
+        return result_of(problem, found, posterior, alone, verdict, seconds, said)
 
 
 def _searched(

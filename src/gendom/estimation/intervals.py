@@ -158,9 +158,8 @@ def _changes(problem: Problem, vector: Array, recording: int, wanted: Array, by:
             # in the direction that moves it less
             moved = np.where(says, off, np.inf).min(axis=0)
         for p, least in zip(going, moved, strict=True):
-            if least < by:  # linear between changes that were simulated
-                of = [least, larger[0, p]], [share, larger[1, p]]
-                found[p] = prior.sd[p] * np.interp(by, *of)
+            between = [least, larger[0, p]], [share, larger[1, p]]
+            found[p] = prior.sd[p] * np.interp(by, *between) if least < by else 0.0
         larger[:, going], going = (moved, np.full(len(going), share)), going[moved >= by]
     return found
 

@@ -135,8 +135,6 @@ class Found:
     """[P] where other starts have ended that are about as likely as the best one."""
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
-    seconds: dict[str, float] = field(default_factory=dict)
-    """Durations of parts of the search [s]."""
     problem: Problem | None = None
     """The same with another resolution, where a method has changed it."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -123,11 +123,11 @@ def result_of(
     posterior: Posterior,
     alone: Sequence[Posterior],
     verdict: Verdict,
-    seconds: Mapping[str, float],
+    seconds: float,
     notes: Sequence[str] = (),
 ) -> FittedEstimate:
-    """Everything about a finished search; ``seconds`` are the durations of the stages before [s],
-    ``alone`` is empty where it was not computed."""
+    """Everything about a finished search; ``seconds`` is how long it took [s], ``alone``
+    is empty where it was not computed."""
     fits, recordings = [], []
     for k, (part, theta) in enumerate(zip(problem.parts, posterior.thetas, strict=True)):
         x = replay(part.scene, [theta])[:, 0]
@@ -171,7 +171,7 @@ def _known(scene: LiftScene, posterior: Posterior) -> dict[str, float]:
     return known | {n: theta[n] for n in ("E_over_rho", "nu") if n not in posterior.names}
 
 
-def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _search(problem: Problem, found: Found, seconds: float) -> dict[str, Any]:
     """The file's entries about the search."""
     settings, scene = problem.settings, problem.scene
     starts = []
@@ -185,8 +185,7 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
     return {
         "iterations": sum(s.iterations for s in found.starts),
-        "seconds": sum(seconds.values()),
-        "stage_seconds": {**seconds, **found.seconds},
+        "seconds": seconds,
         "method": settings.method,
         "frames": settings.frames,
         "seed": settings.seed,

@@ -10,7 +10,6 @@ not register clouds; the fine one, about the best start, estimates noise in turn
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -86,15 +85,13 @@ def gauss_newton(
         SimulationError: No start can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    times, settings = [time.perf_counter()], settings or GaussNewtonSettings.of(problem.scene.kind)
+    settings = settings or GaussNewtonSettings.of(problem.scene.kind)
     most = PER_BATCH * problem.settings.max_iterations
     problem, starts = first_starts(problem, SCANNED, initial)
-    times.append(time.perf_counter())
     noise, interrupted, others, best = problem.first_noise(), False, (), None
     try:
         coarse = Descent.coarse(problem.coarse, settings)
         iteration = coarse.search(starts, most)
-        times.append(time.perf_counter())
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
@@ -115,17 +112,8 @@ def gauss_newton(
         if best.coarse:
             Descent(problem, settings, noise, settings.gain[1]).begin(best)
         noise = estimated_noise(best.compared, noise)
-    times.append(time.perf_counter())
-    parts = zip(("scan", "coarse", "fine"), np.diff(times).tolist(), strict=False)
-    return Found(
-        problem=problem,
-        best=best,
-        starts=starts,
-        noise=noise,
-        interrupted=interrupted,
-        others=others,
-        seconds=dict(parts),
-    )
+    said = {"interrupted": interrupted, "others": others}
+    return Found(problem=problem, best=best, starts=starts, noise=noise, **said)
 
 
 def refined(problem: Problem, found: Found) -> Found:
