@@ -399,9 +399,8 @@ def rms(error: Tensor) -> float:
 @contextmanager
 def reproducible(seed: int, device: str = "cpu") -> Iterator[None]:
     """Seeded torch on a device, and on one thread, which is fastest for small networks; all put
-    back after."""
+    back after. On the CPU without torch.device, with which all operations go through Python."""
     threads, gpus = torch.get_num_threads(), [device] if device != "cpu" else []
-    # torch.device goes through Python at each operation: a sixth of a training's time on the CPU
     with torch.random.fork_rng(devices=gpus), torch.device(device) if gpus else nullcontext():
         torch.manual_seed(seed)
         torch.set_num_threads(1)
