@@ -300,7 +300,8 @@ def forecast(
 
 def drawn(prior: Prior, rng: np.random.Generator) -> Array:
     """[P] transformed values drawn from a prior; by name, so that other lifts are drawn alike."""
-    own = rng.random(len(UNKNOWNS))[[[*UNKNOWNS].index(name) for name in prior.names]]
+    shares = dict(zip(UNKNOWNS, rng.random(len(UNKNOWNS)), strict=True))
+    own = np.array([shares[name] for name in prior.names])
     low, high = (ndtr((end - prior.mean) / prior.sd) for end in (prior.low, prior.high))
     return prior.mean + prior.sd * ndtri(low + own * (high - low))
 
