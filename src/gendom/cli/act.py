@@ -116,7 +116,7 @@ class Command(KnownObject):
             "task": self.task,
             "goal": action.goal,
             "action": dict(zip((q.name for q in task.actions), map(float, values), strict=True)),
-            "units": units_of(task),
+            "units": {q.name: q.unit for q in (*task.actions, *task.goals, *task.outcomes)},
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
             **_origin(policy, action),
@@ -205,13 +205,6 @@ def _origin(policy: Policy, action: Action) -> dict[str, Any]:
         "network_input": inputs,
         "network_input_meaning": meanings,
     }
-
-
-def units_of(task: Task) -> dict[str, str]:
-    """SI units of actions, goals, outcomes and the risk by name; ``1``: dimensionless."""
-    risk = [] if task.risk is None else [task.risk]
-    named = (*task.actions, *task.goals, *task.outcomes, *risk)
-    return {quantity.name: quantity.unit for quantity in named}
 
 
 def _with_unit(name: str, value: float, units: Mapping[str, str], form: str = ".4g") -> str:

@@ -178,7 +178,8 @@ def write_film(path: str | os.PathLike, animation: Animation) -> None:
     step = max(FRAME_TIME, round(lasts / FRAMES), round(apart))
     moments = times[0] + step * np.arange(int(lasts / step + 0.5) + 1)
     stage = Stage(animation)
-    images = [stage.draw(animation.frame_at(1e-3 * (t + 0.5 * step))) for t in moments]
+    last = np.searchsorted(times, moments + 0.5 * step, side="right") - 1  # not after that
+    images = [stage.draw(int(frame)) for frame in last]
     with atomic_path(path) as temporary:
         if Path(path).suffix.lower() == ".mp4":
             _write_mp4(temporary, images, 1e3 / step)
