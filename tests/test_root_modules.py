@@ -45,7 +45,7 @@ def test_numbers_of_many_types_and_arrays_come_back():
         assert type(check_number("x", value, above=0.0)) is float
     assert check_numbers("x", [1, 2, 3], (3,), ("K", 3)).dtype == float
     assert check_integers("x", [], ("P",)).shape == (0,)
-    assert check_number("x", -math.inf, finite=False) == -math.inf
+    assert check_numbers("x", -math.inf, finite=False) == -math.inf
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_numbers_of_many_types_and_arrays_come_back():
         (lambda: check_number("x", True), "x must be a number, got True"),
         (lambda: check_number("x", Fraction(1, 2)), "x must be a number, got Fraction(1, 2)"),
         (lambda: check_number("x", -1, above=0.0), "x must be positive and finite, got -1.0"),
-        (lambda: check_number("x", math.nan, finite=False), "x must be a number, got nan"),
+        (lambda: check_numbers("x", math.nan, (), finite=False), "x must be a number, got nan"),
         (lambda: check_number("x", 1.0, above=2.0), "x must be finite and above 2.0, got 1.0"),
         (lambda: check_numbers("x", [1.0, -1.0], ("W",), least=0.0),
          "x must be finite and at least 0, got -1.0 at [1]"),

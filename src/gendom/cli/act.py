@@ -94,11 +94,12 @@ class Command(KnownObject):
         others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
-        warnings, values, world = list(action.warnings), np.array(action.values), self.world
+        warnings, values = list(action.warnings), np.array(action.values)
+        world = Simulation(engine=self.engine)
         simulated = not (self.no_prediction or self.lying) and held.value("E_over_rho") is not None
         polished = {}
         if self.polish:
-            values, polished = self._polished(task, held, values)
+            values, polished = self._polished(task, held, values, world)
         T = task.T_world_task(item)
         if self.origin is not None:
             near = all(abs(x) <= LARGEST for x in self.origin)
@@ -133,11 +134,6 @@ class Command(KnownObject):
         write_result(self.out, result, json=self.json)
         return 0
 
-    @property
-    def world(self) -> Simulation:
-        """In which actions are polished and predicted."""
-        return Simulation(engine=self.engine)
-
     def _followed(
         self, path: TcpPath, opening: float, hangs: float, warnings: list[str], cell: Cell
     ) -> dict[str, Any]:
@@ -169,15 +165,15 @@ class Command(KnownObject):
         return {"arm": {"name": planned.arm, "slowed_by": motion.slowed_by}, "plan": planned}
 
     def _polished(
-        self, task: Task, held: Estimate, start: np.ndarray
+        self, task: Task, held: Estimate, start: np.ndarray, world: Simulation
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
         belief, wrong = believed(held, task), None
         if seen := executed(held, task):
-            wrong = adapt(task, belief, seen, refine=False, world=self.world).discrepancy
+            wrong = adapt(task, belief, seen, refine=False, world=world).discrepancy
         found = polish(
             task, np.array(self.goal), belief, start, seconds=self.seconds,
-            discrepancy=wrong, world=self.world,
+            discrepancy=wrong, world=world,
         )  # fmt: skip
         names = ("expected", "before", "rollouts", "seconds")
         return found.action, {"polished": {n: getattr(found, n) for n in names}}
