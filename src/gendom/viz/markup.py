@@ -9,12 +9,7 @@ DASH = "–"
 """Stands where a table has no value."""
 
 
-def table(
-    columns: Mapping[str, str],
-    rows: Sequence[Sequence[str]],
-    *,
-    totals: int = 0,
-) -> str:
+def table(columns: Mapping[str, str], rows: Sequence[Sequence[str]], *, totals: int = 0) -> str:
     """A table as HTML; a row's cells are below each other on a narrow page.
 
     Args:
