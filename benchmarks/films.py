@@ -175,7 +175,7 @@ def over_obstacles(out: Path) -> None:
 def dragged(path: Path) -> None:
     """A limp cloth of the MuJoCo test scene, which the arm drags open by the fourth motion."""
     task = ClothDragging()
-    item = replace(as_real(task.draw_item(np.random.default_rng(LIMP))), colour=(40, 70, 190))
+    item = replace(as_real(task.draw_items([np.random.default_rng(LIMP)])[0]), colour=(40, 70, 190))
     motion = np.array(MOTIONS[3]) * task.action_units(item)
     trial = task_trial(task, item, task.nearest(item, motion))
     ends = np.array([trial.path.position.min(axis=0), trial.path.position.max(axis=0)])

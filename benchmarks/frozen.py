@@ -136,7 +136,7 @@ def policy(task_name: str, parameters: bool, count: int) -> Figures:
     items, drawn = [], []
     for k in range(count):
         rng = np.random.default_rng([SEED, k])
-        items.append(task.draw_item(rng))
+        items.append(task.draw_items([rng])[0])
         drawn.append(task.sample_actions(items[-1], rng, 1)[0])
     names = [goal.name for goal in task.goals]
     goals = np.empty((count, 0))

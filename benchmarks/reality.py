@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageColor
 from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
@@ -35,7 +35,6 @@ from gendom.reality import (
 from gendom.reality import (
     record as record_trial,
 )
-from gendom.viz.palette import rgb
 
 FINER = 8
 """Points between two vertices, where distances to the true shape are measured."""
@@ -60,7 +59,7 @@ def encode_camera_views(
         views: Colour [height, width, 3] and depth [height, width] [m], 0 where there is none,
             of each camera; pictures of one size.
     """
-    scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
+    scale = np.transpose([ImageColor.getrgb(color) for color in DEPTH_COLORS])
     rows = []
     for colour, depth in views:
         share = np.clip((depth - DEPTHS[0]) / np.ptp(DEPTHS), 0.0, 1.0)

@@ -44,11 +44,11 @@ def main() -> None:
         world = RealWorld(jobs=given.jobs)
     known = np.array(policy.description.candidates)
     rng = np.random.default_rng(0)
-    prior = [task.draw_item(rng) for _ in range(PRIOR)]
+    prior = [task.draw_items([rng])[0] for _ in range(PRIOR)]
     blind = np.array(list(policy.act((), prior[0], likely=prior).action.values()))
     rows: dict[str, list[list[float]]] = {}
     for seed in given.seeds:
-        items = [task.draw_item(np.random.default_rng([seed, i])) for i in range(given.count)]
+        items = [task.draw_items([np.random.default_rng([seed, i])])[0] for i in range(given.count)]
         actions = np.array(
             [task.nearest(i, a * task.action_units(i)) for i in items for a in known]
         )

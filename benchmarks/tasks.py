@@ -78,7 +78,7 @@ def item_with(task: Task, values: dict[str, float]) -> Item:
         return values.get(name, at), values.get(name, at)
 
     fixed = replace(task, ranges={name: middle(name) for name in task.ranges})
-    return fixed.draw_item(np.random.default_rng(0))
+    return fixed.draw_items([np.random.default_rng(0)])[0]
 
 
 def draw(path: str) -> None:

@@ -98,7 +98,7 @@ def release(
     """Rope reaching with random releases and materials."""
     task = RopeReaching().of_one_size()
     rng = np.random.default_rng(0)
-    items = [task.draw_item(rng) for _ in range(worlds)]
+    items = [task.draw_items([rng])[0] for _ in range(worlds)]
     actions = task.sample_actions(task.item, rng, worlds)
     dtype = given.dtype if engine == "thin" else "float32"
     world = Simulation(engine=engine, device=given.device, dtype=dtype, threads=threads)

@@ -145,7 +145,7 @@ def _item(runs: Runs, settings: Settings, name: str) -> RealCloth:
 
     if settings.drawn:
         rng = np.random.default_rng([runs.seed, int(name.rpartition("-")[2])])
-        item = replace(as_real(settings.task.draw_item(rng)), name=name, colour=COLOUR)
+        item = replace(as_real(settings.task.draw_items([rng])[0]), name=name, colour=COLOUR)
     else:
         own = ASSETS / f"{name}.toml"
         item = find_object(str(own) if own.is_file() else name)
@@ -157,7 +157,7 @@ def _acted(runs: Runs, settings: Settings, name: str) -> dict[str, Any]:
     item, task = _item(runs, settings, name), settings.task
     policy, rng = Policy.pretrained(task.name), np.random.default_rng([runs.seed, _STREAM])
     likely = {
-        "ours, no parameters": [task.draw_item(rng) for _ in range(DRAWN)],
+        "ours, no parameters": [task.draw_items([rng])[0] for _ in range(DRAWN)],
         "ours, true parameters": [item],
     }
     found: dict[str, Any] = {"bending_length": dimensionless_parameters(item)["bending_ratio"]}

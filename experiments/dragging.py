@@ -124,7 +124,7 @@ def drawn(count: int, family: Family, seed: Sequence[int]) -> list[Item]:
     limpest, stiffest, smoothest, roughest = family
     task, rng, found = ClothDragging(), np.random.default_rng(seed), []
     while len(found) < count:
-        item = task.draw_item(rng)
+        item = task.draw_items([rng])[0]
         bends = dimensionless_parameters(item)["bending_ratio"]
         if limpest <= bends < stiffest and smoothest <= item.friction < roughest:
             found.append(item)

@@ -34,7 +34,7 @@ from gendom.arguments import (
 from gendom.errors import DatasetError, GendomError, ParameterError, RecordingError, SimulationError
 from gendom.files import atomic_folder, atomic_path, check_file, check_folder, write_json
 from gendom.installation import clone, how_to_install, version
-from gendom.progress import bar, each, silence
+from gendom.progress import bar, silence
 from gendom.reading import read_json
 
 # ---- arguments -----------------------------------------------------------------------------------
@@ -45,7 +45,7 @@ def test_numbers_of_many_types_and_arrays_come_back():
         assert type(check_number("x", value, above=0.0)) is float
     assert check_numbers("x", [1, 2, 3], (3,), ("K", 3)).dtype == float
     assert check_integers("x", [], ("P",)).shape == (0,)
-    assert check_number("x", -math.inf, finite=False) == -math.inf
+    assert check_numbers("x", -math.inf, finite=False) == -math.inf
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_numbers_of_many_types_and_arrays_come_back():
         (lambda: check_number("x", True), "x must be a number, got True"),
         (lambda: check_number("x", Fraction(1, 2)), "x must be a number, got Fraction(1, 2)"),
         (lambda: check_number("x", -1, above=0.0), "x must be positive and finite, got -1.0"),
-        (lambda: check_number("x", math.nan, finite=False), "x must be a number, got nan"),
+        (lambda: check_numbers("x", math.nan, (), finite=False), "x must be a number, got nan"),
         (lambda: check_number("x", 1.0, above=2.0), "x must be finite and above 2.0, got 1.0"),
         (lambda: check_numbers("x", [1.0, -1.0], ("W",), least=0.0),
          "x must be finite and at least 0, got -1.0 at [1]"),
@@ -229,9 +229,6 @@ class Terminal(io.StringIO):
 
 
 def test_iterations_are_counted_and_the_last_line_is_full():
-    with redirect_stderr(Terminal()) as file:
-        assert list(each("abc", "acting", "action")) == ["a", "b", "c"]
-    assert any("acting: 100%|" in line and "action 3/3" in line for line in file.lines)
     with redirect_stderr(Terminal()) as file, bar("estimating", 1, "iteration") as show:
         for n in range(5):
             show(n, 12, "12.3 mm off")
@@ -245,8 +242,8 @@ def test_iterations_are_counted_and_the_last_line_is_full():
      (io.StringIO(), nullcontext, True)],
 )  # fmt: skip
 def test_nothing_shows_where_it_is_not_wanted(file, within, shown):
-    with redirect_stderr(file), within():
-        list(each("abc", "acting", "action", shown=shown))
+    with redirect_stderr(file), within(), bar("acting", 3, "action", shown=shown) as show:
+        show(3)
     assert file.getvalue() == "" and not progress._silent
 
 

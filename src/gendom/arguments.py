@@ -45,18 +45,13 @@ def check_choice(
 
 
 def check_number(
-    name: str,
-    value: Any,
-    *,
-    least: float = -math.inf,
-    above: float | None = None,
-    finite: bool = True,
+    name: str, value: Any, *, least: float = -math.inf, above: float | None = None
 ) -> float:
-    """Check a single number; arguments and errors as of ``check_numbers``."""
+    """Check a single finite number; arguments and errors as of ``check_numbers``."""
     within = isinstance(value, float) and value >= least and (above is None or value > above)
-    if within and (math.isfinite(value) or not finite):  # most are, and NumPy would take longer
+    if within and math.isfinite(value):  # most are, and NumPy would take longer
         return value
-    return float(check_numbers(name, value, (), least=least, above=above, finite=finite))
+    return float(check_numbers(name, value, (), least=least, above=above))
 
 
 def check_numbers(

@@ -30,8 +30,3 @@ def plugins(kind: str, use: Callable[[Any], object] = lambda _: None) -> dict[st
             what = f"gendom.{kind} {point.name!r} ({point.value})"
             _log.warning("%s is left out: %s", what, why)
     return found
-
-
-def plugin_names(kind: str) -> list[str]:
-    """Names that other packages add to a group; nothing of theirs is imported."""
-    return sorted(point.name for point in metadata.entry_points(group=f"gendom.{kind}"))

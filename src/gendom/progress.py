@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
-
-T = TypeVar("T")
 
 _silent = False
 
@@ -66,12 +63,3 @@ def bar(
         yield show
         line.total = line.n = line.n or line.total  # what ends early was all there was to do
         line.refresh()
-
-
-def each(items: Collection[T], doing: str, unit: str, *, shown: bool = True) -> Iterator[T]:
-    """The items one after another, and a `bar` of how many are done."""
-    with bar(doing, len(items), unit, shown=shown) as show:
-        for done, item in enumerate(items):
-            show(done)
-            yield item
-        show(len(items))

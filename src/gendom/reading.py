@@ -134,19 +134,18 @@ def check_unpacked(
     require(size <= most, what, where, "check where it comes from", error)
 
 
-def inside(
-    folder: str | os.PathLike, name: str, *, where: str, error: type[GendomError] = RecordingError
-) -> str:
+def inside(folder: str | os.PathLike, name: str, *, where: str) -> str:
     """The path of a file that another file names, relative to its folder, with / or, as Windows
     writes them, backslashes.
 
     Raises:
-        GendomError: As `error`: the name leads out of the folder.
+        RecordingError: The name leads out of the folder.
     """
     parts = name.replace("\\", "/").split("/")
     stays = parts[0] and parts[0][1:2] != ":" and ".." not in parts and "\0" not in name
     if not stays:
-        raise error(f"{name!r} is not in {folder}", where=where, fix="name files below that folder")
+        fix = "name files below that folder"
+        raise RecordingError(f"{name!r} is not in {folder}", where=where, fix=fix)
     return os.path.join(folder, *parts)
 
 

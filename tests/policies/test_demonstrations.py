@@ -38,7 +38,7 @@ def test_read_gives_units_of_similarity_and_leaves_failures_out(folder):
     assert data.action_names == ("release_x", "release_z") and data.goal_names == ("x",)
     assert data.task["name"] == "rope-reaching"
     assert data.varying == ("bending_ratio", "nu", "damping", "density", "thickness_ratio")
-    first = demonstrator().task.draw_item(np.random.default_rng([2, 1]))
+    first = demonstrator().task.draw_items([np.random.default_rng([2, 1])])[0]
     assert data.parameters["bending_ratio"][0] == pytest.approx(
         dimensionless_parameters(first)["bending_ratio"]
     )

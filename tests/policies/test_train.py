@@ -245,7 +245,7 @@ BRIEF = Training(epochs=4, refine=2, refine_cases=100, refine_steps=100, seed=1)
 def thrown(count: int, seed: int = 0, world=None) -> Demonstrations:
     """Demonstrations of `Throws`."""
     rng = np.random.default_rng(seed)
-    items = [THROWING.draw_item(rng) for _ in range(count)]
+    items = [THROWING.draw_items([rng])[0] for _ in range(count)]
     action = np.array([THROWING.sample_actions(item, rng, 1)[0] for item in items])
     outcomes = (world or Throws()).carry_out(THROWING, items, action)
     L = np.array([size_of(item) for item in items])

@@ -50,8 +50,8 @@ def test_settings_rebuild_a_task(kind):
 @each
 def test_draws_follow_the_seed_and_the_ranges(kind):
     task = kind()
-    items = [task.draw_item(np.random.default_rng([3, i])) for i in range(400)]
-    assert task.draw_item(np.random.default_rng([3, 7])) == items[7]
+    items = [task.draw_items([np.random.default_rng([3, i])])[0] for i in range(400)]
+    assert task.draw_items([np.random.default_rng([3, 7])])[0] == items[7]
     own = dimensionless_parameters(task.item)
     alike = [dimensionless_parameters(item) for item in items]
     as_thick = {"thickness_ratio": own["thickness_ratio"]}

@@ -13,7 +13,6 @@ from PIL import Image
 from gendom.sim import rope
 from gendom.viz import Layer, object_layer, player, write_report
 from gendom.viz.player import animation_data
-from gendom.viz.report.content import render_report
 from viz import made_up
 from viz.made_up import action, content, estimate, lift, only, outcome
 
@@ -97,22 +96,22 @@ def test_whole_report(tmp_path):
         assert text in page.words, text
     assert not re.search(r"\d\.\d{4,}[1-9]", page.words)
     assert list(tmp_path.iterdir()) == [path]
-    assert source == render_report(content())
+    assert source == content().html()
 
 
 def test_what_is_not_usable_has_reasons_and_no_beliefs():
     found = estimate(reasons=["the gripper rests", "the clouds are <noise>"], mass=0.03)
-    words = Page(render_report(only(estimate=found))).words
+    words = Page(only(estimate=found).html()).words
     assert "Not usable." in words and "the gripper rests" in words and "<noise>" in words
     assert "From the object's mass and size." in words and "mass 0.03 kg" in words
     for absent in ("Prior and posterior", "interval", "True value", "The action"):
         assert absent not in words
-    words = Page(render_report(only(refused=["no frames with <points>"]))).words
+    words = Page(only(refused=["no frames with <points>"]).html()).words
     assert "Not usable." in words and "no frames with <points>" in words
     assert "The estimate" not in words
     # goals in the plane and a worse policy that is not praised
     plane = [outcome([0.3, 0.2 + z], [0.33, 0.24 + z], [0.31, 0.2 + z]) for z in (0.0, 0.1)]
-    page = Page(render_report(only(action=action(*plane))))
+    page = Page(only(action=action(*plane)).html())
     assert page.words.count("50.0 mm") == 5  # of each goal, in the mean, in words, at the top
     assert "here the estimate did not help" in page.words
 
@@ -129,7 +128,7 @@ def test_all_text_is_escaped():
         action=made,
         next_steps=[(bad, bad)],
     )
-    source = render_report(report)
+    source = report.html()
     assert "<script>alert" not in source
     assert Page(source).words.count(bad) >= 17
 

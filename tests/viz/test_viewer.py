@@ -84,7 +84,7 @@ def viewer():
 
 
 def answer(viewer, method, path, body=None, head=None):
-    asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=20.0)
+    asked = http.client.HTTPConnection("127.0.0.1", viewer.server_port, timeout=20.0)
     asked.request(method, path, body, head or {})
     return asked.getresponse()
 
@@ -132,9 +132,9 @@ def test_faults_are_told_and_the_next_wish_is_served(viewer, caplog):
 def test_only_this_machine_reaches_it(viewer, capfd):
     """On the next port where one is taken. Nothing is printed."""
     with pytest.raises(OSError):
-        socket.create_connection(("127.0.0.2", viewer.port), timeout=1.0)
-    with contextlib.closing(Viewer(Square(), port=viewer.port)) as second:
-        assert second.port > viewer.port
+        socket.create_connection(("127.0.0.2", viewer.server_port), timeout=1.0)
+    with contextlib.closing(Viewer(Square(), port=viewer.server_port)) as second:
+        assert second.server_port > viewer.server_port
     with pytest.raises(GendomError, match="port: is 70000"):
         Viewer(Square(), port=70000)
     assert capfd.readouterr() == ("", "")
@@ -158,7 +158,7 @@ ASKED = [
 @pytest.mark.parametrize(("origin", "host", "served"), ASKED)
 @pytest.mark.parametrize("method", ["GET", "POST"])
 def test_only_its_own_page_is_answered(viewer, method, origin, host, served):
-    own = f"127.0.0.1:{viewer.port}"
+    own = f"127.0.0.1:{viewer.server_port}"
     head = {"Host": host or own} | ({"Origin": origin.format(own=own)} if origin else {})
     values = '{"height": 0.0, "E": 1.0}' if method == "POST" else None
     assert answer(viewer, method, "/", values, head).status == (200 if served else 403)

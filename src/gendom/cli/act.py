@@ -94,11 +94,12 @@ class Command(KnownObject):
         others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
-        warnings, values, world = list(action.warnings), np.array(action.values), self.world
+        warnings, values = list(action.warnings), np.array(action.values)
+        world = Simulation(engine=self.engine)
         simulated = not (self.no_prediction or self.lying) and held.value("E_over_rho") is not None
         polished = {}
         if self.polish:
-            values, polished = self._polished(task, held, values)
+            values, polished = self._polished(task, held, values, world)
         T = task.T_world_task(item)
         if self.origin is not None:
             near = all(abs(x) <= LARGEST for x in self.origin)
@@ -116,7 +117,7 @@ class Command(KnownObject):
             "task": self.task,
             "goal": action.goal,
             "action": dict(zip((q.name for q in task.actions), map(float, values), strict=True)),
-            "units": units_of(task),
+            "units": {q.name: q.unit for q in (*task.actions, *task.goals, *task.outcomes)},
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
             **_origin(policy, action),
@@ -132,11 +133,6 @@ class Command(KnownObject):
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         write_result(self.out, result, json=self.json)
         return 0
-
-    @property
-    def world(self) -> Simulation:
-        """In which actions are polished and predicted."""
-        return Simulation(engine=self.engine)
 
     def _followed(
         self, path: TcpPath, opening: float, hangs: float, warnings: list[str], cell: Cell
@@ -169,15 +165,15 @@ class Command(KnownObject):
         return {"arm": {"name": planned.arm, "slowed_by": motion.slowed_by}, "plan": planned}
 
     def _polished(
-        self, task: Task, held: Estimate, start: np.ndarray
+        self, task: Task, held: Estimate, start: np.ndarray, world: Simulation
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
         belief, wrong = believed(held, task), None
         if seen := executed(held, task):
-            wrong = adapt(task, belief, seen, refine=False, world=self.world).discrepancy
+            wrong = adapt(task, belief, seen, refine=False, world=world).discrepancy
         found = polish(
             task, np.array(self.goal), belief, start, seconds=self.seconds,
-            discrepancy=wrong, world=self.world,
+            discrepancy=wrong, world=world,
         )  # fmt: skip
         names = ("expected", "before", "rollouts", "seconds")
         return found.action, {"polished": {n: getattr(found, n) for n in names}}
@@ -205,13 +201,6 @@ def _origin(policy: Policy, action: Action) -> dict[str, Any]:
         "network_input": inputs,
         "network_input_meaning": meanings,
     }
-
-
-def units_of(task: Task) -> dict[str, str]:
-    """SI units of actions, goals, outcomes and the risk by name; ``1``: dimensionless."""
-    risk = [] if task.risk is None else [task.risk]
-    named = (*task.actions, *task.goals, *task.outcomes, *risk)
-    return {quantity.name: quantity.unit for quantity in named}
 
 
 def _with_unit(name: str, value: float, units: Mapping[str, str], form: str = ".4g") -> str:

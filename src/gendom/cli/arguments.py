@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from gendom.arguments import require
-from gendom.plugins import plugin_names
 from gendom.progress import bar
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def policy_for(task: str, path: Path | None) -> Policy:
 
 def _tasks() -> str:
     """Names of all tasks; those of other packages cost their import."""
-    if not plugin_names("tasks"):
+    if not metadata.entry_points(group="gendom.tasks"):
         return "rope-reaching|rope-casting|cloth-spreading|cloth-dragging"
     from gendom.tasks import task_names
 

@@ -31,7 +31,7 @@ from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapt
 from gendom.policies.belief import believed
 from gendom.policies.polishing import polish
-from gendom.progress import each
+from gendom.progress import bar
 from gendom.reality import RealWorld, find_object, observe
 from gendom.reality.trials import TrialRun
 from gendom.tasks import Observed, Task
@@ -170,13 +170,16 @@ class Command:
         """Let the arm act with each rope, say what it reached, and write it; and how far that may
         be trusted."""
         task, every, outcomes, apart = policies[0].task(), {}, [], []
-        for name in each(tuple(ropes), "the arm acts", "rope"):
-            belief = believed(found[name], task)
-            goal = self._goal(ropes[name], belief, policies)
-            every[name] = runs = carry_out(ropes[name], policies, goal, belief)
-            model = task.outcome(belief.item, _simulated(task, belief.item, runs[WITH].action))
-            apart.append(np.linalg.norm(runs[WITH].reached - [model[q.name] for q in task.goals]))
-            outcomes.append(ReachOutcome(item=name, goal=goal, runs=runs))
+        with bar("the arm acts", len(ropes), "rope") as show:
+            for done, name in enumerate(ropes, 1):
+                belief = believed(found[name], task)
+                goal = self._goal(ropes[name], belief, policies)
+                every[name] = runs = carry_out(ropes[name], policies, goal, belief)
+                model = task.outcome(belief.item, _simulated(task, belief.item, runs[WITH].action))
+                simulated = [model[q.name] for q in task.goals]
+                apart.append(np.linalg.norm(runs[WITH].reached - simulated))
+                outcomes.append(ReachOutcome(item=name, goal=goal, runs=runs))
+                show(done)
         for outcome in outcomes:
             named = zip(task.actions, outcome.runs[WITH].action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)

@@ -273,9 +273,7 @@ class _StoppedError(Exception):
 
 
 def _on_devices(
-    simulate: Callable[..., dict[str, Any]],
-    jobs: list[range],
-    devices: list[str],
+    simulate: Callable[..., dict[str, Any]], jobs: list[range], devices: list[str]
 ) -> Iterator[tuple[range, dict[str, Any]]]:
     """Run jobs in parallel on the devices, and yield jobs and results as they finish."""
     if len(devices) == 1 and not devices[0].startswith("cuda"):

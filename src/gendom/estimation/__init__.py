@@ -12,25 +12,7 @@ from gendom.materials.posterior import Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
 
 __all__ = [
-    "METHODS",
-    "UNKNOWNS",
-    "Estimate",
-    "EstimateSettings",
-    "FittedEstimate",
-    "IntervalCalibration",
-    "LiftScene",
-    "NoiseModel",
-    "Observation",
-    "Posterior",
-    "Prior",
-    "Problem",
-    "Progress",
-    "SceneSettings",
-    "Theta",
-    "Unknown",
-    "Verdict",
-    "chamfers",
-    "estimate",
-    "find_method",
-    "replay",
-]
+    "METHODS", "UNKNOWNS", "Estimate", "EstimateSettings", "FittedEstimate", "IntervalCalibration",
+    "LiftScene", "NoiseModel", "Observation", "Posterior", "Prior", "Problem", "Progress",
+    "SceneSettings", "Theta", "Unknown", "Verdict", "chamfers", "estimate", "find_method", "replay",
+]  # fmt: skip

@@ -313,7 +313,7 @@ class Fit:
         model = max(math.sqrt(max(square - noise.least_sensor**2, 0.0)), noise.least_model)
         return replace(noise, sensor=sensor, model=model, patch=patch)
 
-    def updated_noise(self, rounds: int) -> NoiseModel:
+    def updated_noise(self, rounds: int = 6) -> NoiseModel:
         """Noise of higher likelihood: rounds of expectation and maximisation with fixed pairs."""
         noise, S, R, prior = self.noise, self.smooth, len(self.a), self.precision.copy()
         # of the residuals alone, in m^2

@@ -16,9 +16,8 @@ from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Problem
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene
-from gendom.materials import KINDS
+from gendom.materials import KINDS, catalogue
 from gendom.materials.estimate import Estimate, Verdict
-from gendom.materials.estimate_file import assumed_density_sd
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import chamfer, visible
@@ -146,13 +145,16 @@ def result_of(
         **_search(problem, found, seconds),
     }
     weighed = problem.scene.recording.object.mass is not None
+    material = problem.scene.settings.material
+    # of any material, as ropes and cloths have 300 to 2,000 kg/m^3
+    assumed_sd = 0.5 if material is None else catalogue.get(material).density.log_sd
     return FittedEstimate(
         kind=problem.scene.kind,
         known=_known(problem.scene, posterior),
         posterior=posterior,
         verdict=verdict,
         level=problem.settings.level,
-        density_sd=0.0 if weighed else assumed_density_sd(problem.scene.settings.material),
+        density_sd=0.0 if weighed else assumed_sd,
         about=about,
         fits=tuple(fits),
     )

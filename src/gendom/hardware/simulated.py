@@ -27,15 +27,7 @@ from gendom.hardware.cell import Cell, CellCamera
 from gendom.hardware.contracts import Recorded, RobotState, Tick
 from gendom.materials import thickness_of
 from gendom.perception import PngWriter
-from gendom.reality import (
-    Reality,
-    RealObject,
-    RigErrors,
-    Trial,
-    default_cameras,
-    find_object,
-    lift,
-)
+from gendom.reality import Reality, RealObject, RigErrors, Trial, default_cameras, find_object, lift
 from gendom.reality.arm import RobotArm
 from gendom.reality.sensor import observe
 from gendom.reality.trials import SETTLE, START_DELAY

@@ -15,7 +15,6 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.files import to_json
-from gendom.materials import catalogue
 from gendom.materials.objects import KINDS
 from gendom.materials.posterior import Posterior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -108,12 +107,6 @@ def derived(kind: str, *, weighed: bool) -> dict[str, Derived]:
 NOTHING_ESTIMATED = Posterior(
     prior=prior_of(()), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
 )
-
-
-def assumed_density_sd(material: str | None) -> float:
-    """Of the logarithm of a density that is assumed: that of a listed material, or of any, as ropes
-    and cloths have 300 to 2,000 kg/m^3."""
-    return 0.5 if material is None else catalogue.get(material).density.log_sd
 
 
 # ---- reading -----------------------------------------------------------------------------------

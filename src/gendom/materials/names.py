@@ -4,11 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 OLD_NAMES: dict[str, dict[str, str]] = {
-    "quantity": {
-        "youngs_modulus": "E",
-        "poissons_ratio": "nu",
-        "specific_modulus": "E_over_rho",
-    },
+    "quantity": {"youngs_modulus": "E", "poissons_ratio": "nu", "specific_modulus": "E_over_rho"},
     # policies and ranges of tasks had the same letter for two other quantities
     "network": {"E": "bending_ratio"},
     "range": {"E": "E_over_rho"},

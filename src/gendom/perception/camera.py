@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import Shape, fits
 from gendom.arrays import Array
 from gendom.reading import MOST_DEPTHS, MOST_PIXELS
 from gendom.reading import wanted as expect
@@ -46,7 +47,7 @@ class Camera:
     """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
 
     def __post_init__(self):
-        shapes = {"K": (3, 3), "T_world_camera": (4, 4), "depth_unit": (), "distortion": (None,)}
+        shapes = {"K": (3, 3), "T_world_camera": (4, 4), "depth_unit": (), "distortion": ("n",)}
         for name, shape in shapes.items():
             if (value := getattr(self, name)) is not None or name != "T_world_camera":
                 array = _numbers(value, shape, f"{self.name}: {name}")
@@ -155,18 +156,14 @@ class Camera:
         return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))
 
 
-def _numbers(value: Any, shape: tuple[int | None, ...], where: str) -> np.ndarray:
-    """`value` as finite float64 of a shape; None in it is any length."""
+def _numbers(value: Any, shape: Shape, where: str) -> np.ndarray:
+    """`value` as finite float64 of a shape; "n" in it is any length."""
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         array = np.array(np.nan)
-    same = len(array.shape) == len(shape) and all(
-        want in (None, have) for have, want in zip(array.shape, shape, strict=True)
-    )
     what, fix = "is not a number", "give one number"
     if shape:
-        sizes = "x".join(str(n or "n") for n in shape)
-        what, fix = f"is not {sizes} numbers", "give finite numbers in brackets"
-    expect(same and np.isfinite(array).all(), what, where, fix)
+        what, fix = f"is not {'x'.join(map(str, shape))} numbers", "give finite numbers in brackets"
+    expect(fits(array.shape, shape) and np.isfinite(array).all(), what, where, fix)
     return array

@@ -43,13 +43,7 @@ from torch import Tensor, nn
 from gendom.arguments import require
 from gendom.errors import PolicyError
 from gendom.policies.demonstrations import SMALLEST
-from gendom.policies.fitting import (
-    PhysicalNetwork,
-    TrainingProblem,
-    huber,
-    rms,
-    standardised,
-)
+from gendom.policies.fitting import PhysicalNetwork, TrainingProblem, huber, rms, standardised
 
 Between = Callable[[], dict[str, float]]
 """What comes between training and fine-tuning; gives errors."""

@@ -66,12 +66,7 @@ def _late(task: Task) -> Task:
 
 
 def doubts(
-    task: Task,
-    item: Item,
-    goal: Mapping[str, float],
-    predicted: Mapping[str, Any],
-    *,
-    force: bool,
+    task: Task, item: Item, goal: Mapping[str, float], predicted: Mapping[str, Any], *, force: bool
 ) -> list[str]:
     """What to say of a prediction: goals that its interval does not hold and, with ``force``, a
     release that hangs on when the hand opens.

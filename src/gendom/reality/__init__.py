@@ -27,29 +27,10 @@ from gendom.reality.world import Reality
 from gendom.tasks import task_names
 
 __all__ = [
-    "OBJECTS",
-    "Air",
-    "Layout",
-    "RealCloth",
-    "RealObject",
-    "RealRope",
-    "RealWorld",
-    "Reality",
-    "RigErrors",
-    "Trial",
-    "TrialRun",
-    "arm_motion",
-    "as_real",
-    "default_cameras",
-    "end_of",
-    "find_object",
-    "lift",
-    "lift_cameras",
-    "looking_at",
-    "observe",
-    "record",
-    "task_trial",
-]
+    "OBJECTS", "Air", "Layout", "RealCloth", "RealObject", "RealRope", "RealWorld", "Reality",
+    "RigErrors", "Trial", "TrialRun", "arm_motion", "as_real", "default_cameras", "end_of",
+    "find_object", "lift", "lift_cameras", "looking_at", "observe", "record", "task_trial",
+]  # fmt: skip
 
 with suppress(ImportError):  # where Gymnasium is not installed
     from gendom.environments import register

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
@@ -114,8 +114,9 @@ def _measured(z: Array, camera: Camera, rng: np.random.Generator, times: float) 
     disparity[mixed] = _between(clean, seen, mixed, rng)
     seen &= ~lost & ~_in_shadow(clean) & ~_grazed(clean / fB, camera, rng)
     seen &= rng.random(z.shape) >= DROPOUT
-    noise = np.fft.rfft2(rng.standard_normal(z.shape)) * _blur(z.shape, CORRELATION)
-    disparity += times * SUBPIXEL * np.fft.irfft2(noise, s=z.shape)
+    noise = gaussian_filter(rng.standard_normal(z.shape), CORRELATION, mode="wrap", truncate=6.0)
+    # blurred, white noise has an RMS of 1 / (2 sqrt(pi) of these pixels)
+    disparity += times * SUBPIXEL * max(2.0 * np.sqrt(np.pi) * CORRELATION, 1.0) * noise
     disparity = np.round(disparity / QUANTISATION) * QUANTISATION
     seen &= disparity > 0.0
     measured = np.divide(fB, disparity, out=np.zeros_like(z), where=seen)
@@ -198,19 +199,6 @@ class RigErrors:
     def stamp(self, camera: int, time: float) -> float:
         """Time stamp [s] that the camera with this index assigns to a true time [s]."""
         return time + (self.clock_offset if camera > 0 else 0.0)
-
-
-@lru_cache(maxsize=4)
-def _blur(shape: tuple[int, ...], correlation: float) -> Array:
-    """Frequency response [height, width // 2 + 1] of a Gaussian blur that preserves the RMS."""
-    frequencies = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
-    blur = np.exp(-2.0 * (np.pi * correlation) ** 2 * sum(f**2 for f in frequencies))
-    # Frequencies between the first and the last column stand for two of the whole spectrum.
-    twice = np.full(blur.shape[1], 2.0)
-    twice[0] = 1.0
-    if shape[1] % 2 == 0:
-        twice[-1] = 1.0
-    return blur / np.sqrt((blur**2 * twice).sum() / (shape[0] * shape[1]))
 
 
 @lru_cache(maxsize=4)

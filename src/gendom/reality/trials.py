@@ -27,15 +27,7 @@ from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.model import Layout, default_cameras
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
 from gendom.reality.world import FINGER_WIDTH, Reality
-from gendom.robot import (
-    XARM7,
-    JointMotion,
-    LiftMotion,
-    TcpPath,
-    follow,
-    motions,
-    predefined_lift,
-)
+from gendom.robot import XARM7, JointMotion, LiftMotion, TcpPath, follow, motions, predefined_lift
 from gendom.tasks import Observed, Task
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import check_actions
@@ -97,13 +89,7 @@ class TrialRun:
         DeviceError: MuJoCo is not installed.
     """
 
-    def __init__(
-        self,
-        trial: Trial,
-        *,
-        robot: bool = True,
-        cameras: Sequence[Camera] = (),
-    ):
+    def __init__(self, trial: Trial, *, robot: bool = True, cameras: Sequence[Camera] = ()):
         self.trial = trial
         self.motion, arm = None, None
         if robot:
@@ -161,10 +147,7 @@ def arm_motion(trial: Trial, cameras: Sequence[Camera] = ()) -> JointMotion:
         RobotError: It cannot within its limits, or would touch itself, the table or a camera.
     """
     return follow(
-        XARM7,
-        trial.path,
-        surroundings=surroundings(cameras),
-        opening=thickness_of(trial.item),
+        XARM7, trial.path, surroundings=surroundings(cameras), opening=thickness_of(trial.item)
     )
 
 

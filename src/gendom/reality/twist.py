@@ -22,12 +22,6 @@ from gendom.arrays import Array
 from gendom.reality.objects import RealRope
 
 
-def torsion_rigidity(rope: RealRope) -> float:
-    """GJ of a round section [N m^2]: E / (2 (1 + nu)) pi d^4 / 32."""
-    G = rope.material.E / (2.0 * (1.0 + rope.material.nu))
-    return G * math.pi * rope.diameter**4 / 32.0
-
-
 class Twist:
     """The twist of a rope between two clamps; it is 0 at first.
 
@@ -47,7 +41,8 @@ class Twist:
         edges = np.diff(x, axis=0)
         length = np.linalg.norm(edges, axis=1)
         # Half of each clamped edge belongs to its vertex between the clamps.
-        stiffness = torsion_rigidity(rope) / (length.sum() - 0.5 * (length[0] + length[-1]))
+        GJ = rope.material.lame[0] * math.pi * rope.diameter**4 / 32.0  # of a round section
+        stiffness = GJ / (length.sum() - 0.5 * (length[0] + length[-1]))
         self._lag = stiffness * rope.material.damping
         t = edges[0] / length[0]
         start = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])

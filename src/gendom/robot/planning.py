@@ -119,11 +119,7 @@ def joint_move(
 
 
 def follow(
-    arm: Arm,
-    path: TcpPath,
-    *,
-    surroundings: Surroundings = NO_OBSTACLES,
-    opening: float = 0.0,
+    arm: Arm, path: TcpPath, *, surroundings: Surroundings = NO_OBSTACLES, opening: float = 0.0
 ) -> JointMotion:
     """Plan joint angles that move the tool along a path: at its pace where speeds and accelerations
     allow it, elsewhere slower (`in_time`).

@@ -21,29 +21,8 @@ if TYPE_CHECKING:
 __getattr__ = imported_later(__name__)
 
 __all__ = [
-    "AIR_DENSITY",
-    "CFL",
-    "ENGINES",
-    "GRAVITY",
-    "Body",
-    "Capsule",
-    "Cuboid",
-    "Gradients",
-    "Gripper",
-    "Grippers",
-    "Obstacle",
-    "Physics",
-    "Rollout",
-    "Simulator",
-    "Solver",
-    "Sphere",
-    "Table",
-    "Targets",
-    "Variation",
-    "check_numbers",
-    "cloth",
-    "list_devices",
-    "open_device",
-    "rope",
+    "AIR_DENSITY", "CFL", "ENGINES", "GRAVITY", "Body", "Capsule", "Cuboid", "Gradients", "Gripper",
+    "Grippers", "Obstacle", "Physics", "Rollout", "Simulator", "Solver", "Sphere", "Table",
+    "Targets", "Variation", "check_numbers", "cloth", "list_devices", "open_device", "rope",
     "stable_substep",
-]
+]  # fmt: skip

@@ -14,7 +14,7 @@ from gendom.arguments import check_list, check_numbers, check_type, require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.materials.parameters import OF_THIN
+from gendom.materials.parameters import FIELDS, OF_THIN
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
 from gendom.sim.obstacles import Obstacle, Table
@@ -23,7 +23,6 @@ from gendom.sim.setting import Physics, Solver, Variation
 from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian
 
-_OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 
 
@@ -35,7 +34,7 @@ def _shapes(
     N = len(body.points) if thin else body.num_particles
     path = (len(grippers), max((len(np.asarray(g.time)) for g in grippers), default=0), 3)
     scalars = ("velocity_damping", "air_density", "friction", "self_friction", "thickness")
-    shapes = dict.fromkeys((*_OF_MATERIAL, *scalars), ()) | {
+    shapes = dict.fromkeys((*FIELDS, *scalars), ()) | {
         "gravity": (3,), "obstacle_friction": (obstacles,),
         "stiffness": (N,), "positions": (N, 3), "velocities": (N, 3),
         "gripper_positions": path, "gripper_rotations": path, "gripper_radius": path[:1],
@@ -143,7 +142,7 @@ class _Simulation(torch.autograd.Function):
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
         made, body, materials = dict(scene), scene["body"], scene["materials"]
         worlds = range(max([len(materials), *(len(values) for values in v.values())]))
-        given = [n for n in _OF_MATERIAL if n in v]
+        given = [n for n in FIELDS if n in v]
         made["materials"] = [
             replace(materials[w % len(materials)], **{n: float(v[n][w]) for n in given})
             for w in worlds

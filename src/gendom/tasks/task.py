@@ -431,12 +431,9 @@ class Task(ABC):
 
     # ---- demonstrations --------------------------------------------------------------------------
 
-    def draw_item(self, rng: np.random.Generator) -> Item:
-        """An object with parameters drawn from `ranges`: log-uniformly where ratios count."""
-        return self.draw_items([rng])[0]
-
     def draw_items(self, rngs: Sequence[np.random.Generator]) -> Items:
-        """W objects, each drawn as `draw_item` from its own generator."""
+        """W objects, each with parameters drawn from `ranges` by its own generator: log-uniformly
+        where ratios count."""
         return items_from_columns(self.kind, self.draw_columns(rngs), like=self.item)
 
     def draw_columns(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:

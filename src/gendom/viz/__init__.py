@@ -17,15 +17,6 @@ if TYPE_CHECKING:
 __getattr__ = imported_later(__name__)
 
 __all__ = [
-    "ActionSummary",
-    "Animation",
-    "Layer",
-    "PolicyRun",
-    "ReachOutcome",
-    "ReportContent",
-    "object_layer",
-    "save",
-    "show",
-    "write_film",
-    "write_report",
-]
+    "ActionSummary", "Animation", "Layer", "PolicyRun", "ReachOutcome", "ReportContent",
+    "object_layer", "save", "show", "write_film", "write_report",
+]  # fmt: skip

@@ -94,10 +94,6 @@ class Animation:
         """T."""
         return len(self.times)
 
-    def frame_at(self, time: float) -> int:
-        """Number of the last frame that is not after a time [s]."""
-        return max(int(np.searchsorted(self.times, time, side="right")) - 1, 0)
-
     @cached_property
     def box(self) -> Array:
         """[2, 3] lowest and highest corner of all layers, without stray points [m].

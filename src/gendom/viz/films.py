@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from gendom.arrays import Array
 from gendom.errors import DeviceError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
 from gendom.viz.animation import Animation, Layer, axes_of
-from gendom.viz.palette import INK, TABLE_FILL, TABLE_LINE, nice_step, rgb
+from gendom.viz.palette import INK, TABLE_FILL, TABLE_LINE, nice_step
 
 SIZE = (640, 480)
 """Of a picture [pixels]."""
@@ -113,11 +113,11 @@ class Stage:
         """Distances, corners, colours and widths (0: filled) of a layer's triangles and lines."""
         if layer.kind == "dots":
             return []
-        points, color = layer.at(frame), np.array(rgb(layer.color), dtype=float)
+        points, color = layer.at(frame), np.array(ImageColor.getrgb(layer.color))
         seen, away = self._seen(points)
         if layer.kind == "lines":
             widths = np.broadcast_to(2.0 * self._scale * np.asarray(layer.radius), len(points))
-            fills = [rgb(layer.color)] * len(points)
+            fills = [layer.color] * len(points)
             far = away.mean(axis=1)
         else:
             corners = points[layer.faces]
@@ -140,7 +140,7 @@ class Stage:
         for x, y in self._seen(layer.at(frame))[0].tolist():
             pen.ellipse((x - r, y - r, x + r, y + r), fill=fill)
         if box := mask.getbbox():
-            image.paste(rgb(layer.color), box, mask.crop(box))
+            image.paste(layer.color, box, mask.crop(box))
 
     def _letter(self, pen: ImageDraw.ImageDraw, frame: int) -> None:
         """Time and distance above the picture, the legend beside them, and below a bar of a round
@@ -178,7 +178,8 @@ def write_film(path: str | os.PathLike, animation: Animation) -> None:
     step = max(FRAME_TIME, round(lasts / FRAMES), round(apart))
     moments = times[0] + step * np.arange(int(lasts / step + 0.5) + 1)
     stage = Stage(animation)
-    images = [stage.draw(animation.frame_at(1e-3 * (t + 0.5 * step))) for t in moments]
+    last = np.searchsorted(times, moments + 0.5 * step, side="right") - 1  # not after that
+    images = [stage.draw(int(frame)) for frame in last]
     with atomic_path(path) as temporary:
         if Path(path).suffix.lower() == ".mp4":
             _write_mp4(temporary, images, 1e3 / step)

@@ -1,25 +1,15 @@
 """Pages, and their pieces: escaped text, tables, lists of facts."""
 
-import html
 import re
 from collections.abc import Mapping, Sequence
+from html import escape as escaped
 from importlib import resources
 
 DASH = "–"
 """Stands where a table has no value."""
 
 
-def escaped(text: str) -> str:
-    """Plain text as HTML, also inside an attribute."""
-    return html.escape(text, quote=True)
-
-
-def table(
-    columns: Mapping[str, str],
-    rows: Sequence[Sequence[str]],
-    *,
-    totals: int = 0,
-) -> str:
+def table(columns: Mapping[str, str], rows: Sequence[Sequence[str]], *, totals: int = 0) -> str:
     """A table as HTML; a row's cells are below each other on a narrow page.
 
     Args:

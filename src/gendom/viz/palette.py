@@ -17,11 +17,6 @@ SIMULATED_OPACITY = 0.55
 RECORDED_OPACITY = 0.9
 
 
-def rgb(color: str) -> tuple[int, int, int]:
-    """Red, green and blue, 0 to 255, of "#rrggbb"."""
-    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
-
-
 def nice_step(at_least: float) -> float:
     """The smallest of 1, 2 and 5 times a power of ten that is not below `at_least`."""
     power = 10.0 ** math.floor(math.log10(at_least))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from PIL.ImageColor import getrgb
 
 from gendom.arguments import check_numbers, check_type, require
 from gendom.datasets import Recording
@@ -17,7 +18,6 @@ from gendom.installation import how_to_install
 from gendom.viz.animation import Animation
 from gendom.viz.films import FRAME_TIME, write_film
 from gendom.viz.layers import gripper_layer, object_layer, obstacle_layer
-from gendom.viz.palette import rgb
 from gendom.viz.player import encode_page
 
 FORMS = (".glb", ".obj", ".gif", ".mp4")
@@ -168,7 +168,7 @@ def _encode_mesh(shown: Animation, form: str) -> bytes:
         if layer.kind == "surface":
             mesh = trimesh.Trimesh(layer.at(shown.num_frames - 1), layer.faces, process=False)
             material = PBRMaterial(
-                name=layer.name, baseColorFactor=[*rgb(layer.color), 255], doubleSided=True,
+                name=layer.name, baseColorFactor=[*getrgb(layer.color), 255], doubleSided=True,
                 metallicFactor=0.0, roughnessFactor=0.8,
             )  # fmt: skip
             mesh.visual = TextureVisuals(material=material)

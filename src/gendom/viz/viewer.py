@@ -183,14 +183,9 @@ class Viewer(ThreadingHTTPServer):
         raise GendomError("are all taken", where=f"ports from {port} on", fix="name another --port")
 
     @property
-    def port(self) -> int:
-        """The address's port."""
-        return self.server_address[1]
-
-    @property
     def url(self) -> str:
         """The page's address."""
-        return f"http://{HOST}:{self.port}/"
+        return f"http://{HOST}:{self.server_port}/"
 
     def page(self) -> bytes:
         """What a browser shows."""

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from PIL import Image
+from PIL.ImageColor import getrgb
 
 from gendom.arrays import Array
 from gendom.viz.animation import Animation, Layer
 from gendom.viz.films import Stage
-from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR, rgb
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
 
 _SIZE = 420, 420  # of a view [pixels]
 _MOST = 60_000  # points drawn of all clouds
@@ -31,9 +32,10 @@ def draw_views(
         ParameterError: There are no points at all.
     """
     layers = []
+    first, last = (np.array(getrgb(color)) for color in ("#BBBBBB", RECORDED_COLOR))
     for k, cloud in enumerate(clouds):
         share, few = k / max(len(clouds) - 1, 1), 1 + len(cloud) * len(clouds) // _MOST
-        mixed = (1.0 - share) * np.array(rgb("#BBBBBB")) + share * np.array(rgb(RECORDED_COLOR))
+        mixed = (1.0 - share) * first + share * last
         color = f"#{bytes(mixed.astype(np.uint8)).hex()}"
         layers.append(Layer(name="", color=color, points=[cloud[::few]]))
     if gripper is not None and len(gripper) > 1:

@@ -105,14 +105,12 @@ def best_of(starts: Sequence[Start]) -> Start | None:
     return min(tried, key=lambda s: s.value) if tried else None
 
 
-def estimated_noise(
-    comparison: Comparisons, noise: Sequence[NoiseModel], rounds: int = 6
-) -> tuple[NoiseModel, ...]:
-    """Maximum likelihood noise of each recording: two registrations, each with this many rounds of
-    expectation and maximisation; of markers in motion `Fit.correlated_noise`."""
+def estimated_noise(comparison: Comparisons, noise: Sequence[NoiseModel]) -> tuple[NoiseModel, ...]:
+    """Maximum likelihood noise of each recording: two registrations, each with `Fit.updated_noise`;
+    of markers in motion `Fit.correlated_noise`."""
     found = list(noise)
     for k, part in enumerate(comparison.parts):
         for _ in range(2):
             fit, captured = part.fit(found[k]), part.observation.scene.captured
-            found[k] = fit.correlated_noise() if captured else fit.updated_noise(rounds)
+            found[k] = fit.correlated_noise() if captured else fit.updated_noise()
     return tuple(found)

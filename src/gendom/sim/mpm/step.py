@@ -56,20 +56,6 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         return own + forces_of.pulled(now.w, i, particles.of, particles.near)
 
     @wp.func
-    def record_state(now: Substep, particles: Records, tape: Records):
-        for i in range(now.thread, now.N, now.threads):
-            kept.put_x(tape, now.slot, i, fields.x(particles, now.w, i))
-            kept.put_v(tape, now.slot, i, fields.v(particles, now.w, i))
-            kept.put_C(tape, now.slot, i, fields.C(particles, now.w, i))
-            if damped == 1:
-                kept.put_Z(tape, now.slot, i, fields.Z(particles, now.w, i))
-
-    @wp.func
-    def record_momenta(now: Substep, particles: Records, tape: Records):
-        for i in range(now.thread, now.N, now.threads):
-            kept.put_q(tape, now.slot, i, momentum_of(now, i, particles))
-
-    @wp.func
     def touch(now: Substep, model: Model, particles: Records):
         """Add to velocities what the table changes of each section's."""
         size = model.section
@@ -176,14 +162,19 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
                 gripped.drive(now, n, x, model, grips)
         if keeps == 1:
             tape.layout_of[now.slot] = now.layout
-            record_state(now, particles, tape)
-        if keeps == 1:
+            for i in range(now.thread, now.N, now.threads):
+                kept.put_x(tape, now.slot, i, fields.x(particles, now.w, i))
+                kept.put_v(tape, now.slot, i, fields.v(particles, now.w, i))
+                kept.put_C(tape, now.slot, i, fields.C(particles, now.w, i))
+                if damped == 1:
+                    kept.put_Z(tape, now.slot, i, fields.Z(particles, now.w, i))
             bspline.clear(grid.momentum, now.slot, now.thread, now.threads, nodes)
         inverted = forces_of.forces(now, model, clock, particles)
         if inverted == 1:
             return INVERTED, real(0.0)
         if keeps == 1:
-            record_momenta(now, particles, tape)
+            for i in range(now.thread, now.N, now.threads):
+                kept.put_q(tape, now.slot, i, momentum_of(now, i, particles))
             block.sync()
         if model.table == 1:
             touch(now, model, particles)

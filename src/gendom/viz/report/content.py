@@ -43,6 +43,10 @@ class ReportContent:
     next_steps: Sequence[tuple[str, str]] = ()
     """Commands that go on from what was written, as typed into a shell, and what they do."""
 
+    def html(self) -> str:
+        """The whole page; errors as of `sections`."""
+        return render_page(self.title, self.opening(), self.sections())
+
     def sections(self) -> dict[str, str]:
         """HTML of the page's sections by title, in order.
 
@@ -122,18 +126,9 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> None:
     Raises:
         GendomError: As `gendom.files.atomic_path`; or a cloud has no points.
     """
-    data = render_report(content).encode("utf-8", "backslashreplace")  # names that are no UTF-8
+    data = content.html().encode("utf-8", "backslashreplace")  # names that are no UTF-8
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
-
-
-def render_report(content: ReportContent) -> str:
-    """The HTML of `write_report`.
-
-    Raises:
-        GendomError: A cloud has no points.
-    """
-    return render_page(content.title, content.opening(), content.sections())
 
 
 def _parameter_cards(found: Estimate) -> list[tuple[str, str]]:
