@@ -18,10 +18,13 @@ def register(names: Iterable[str] = BUILT_IN) -> None:
     for name in names:
         title = "gendom/" + "".join(word.capitalize() for word in name.split("-"))
         if f"{title}-v0" not in gymnasium.registry:
-            kwargs, steps = {"task": name}, "gendom.tasks.envs:StepsVectorEnv"
+            kwargs, steps = {"task": name}, "gendom.tasks.envs:Steps"
             world = "gendom.reality.envs:TaskEnv"
             gymnasium.register(f"{title}-v0", entry_point=world, kwargs=kwargs)
-            gymnasium.register(f"{title}Steps-v0", vector_entry_point=steps, kwargs=kwargs)
+            gymnasium.register(
+                f"{title}Steps-v0", entry_point=f"{steps}Env", kwargs=kwargs,
+                vector_entry_point=f"{steps}VectorEnv", disable_env_checker=True,
+            )  # fmt: skip
 
 
 register()

@@ -251,3 +251,36 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
             if task.goals and found[w].fault is None:
                 reward[w] = -task.error(item, goal, found[w].values) / size_of(item)
         return reward, numbers_of(found, task.goals)
+
+
+class StepsEnv(gymnasium.Env[Any, Any]):
+    """One world of a `StepsVectorEnv`, whose arguments it takes."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(self, task: str | Task, **settings: Any):
+        self.many = StepsVectorEnv(task, 1, **settings)
+        self.observation_space = self.many.single_observation_space
+        self.action_space = self.many.single_action_space
+        self._over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """As `StepsVectorEnv.reset`."""
+        super().reset(seed=seed)
+        seen, info = self.many.reset(seed=seed, options=options)
+        self._over = False
+        return seen[0], {name: value[0] for name, value in info.items()}
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """As `StepsVectorEnv.step`.
+
+        Raises:
+            ParameterError: The episode is over, or as there.
+        """
+        require(not self._over, "the episode is over", where="step", fix="call reset first")
+        seen, reward, done, _, info = self.many.step(np.asarray(action)[None])
+        self._over = bool(done[0])
+        info = {name: value[0] for name, value in info.items()}
+        return seen[0], float(reward[0]), self._over, False, info
