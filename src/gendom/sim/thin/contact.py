@@ -53,9 +53,9 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
         "push": np.zeros((W * on, 10, n)),
         # where nothing is near: the first step lists pairs
         "listed": np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)),
-        "boxes": np.zeros((W * on, 10, n)),
+        "boxes": np.zeros((W * on, 13, n)),
         **{name: np.zeros((*pairs, 2), np.int32) for name in ("near", "close")},
-        "touching": np.zeros(pairs, np.int32),
+        "touching": np.zeros((pairs[0] * (not setting.device.is_cuda), pairs[1]), np.int32),
         **{f"{name}_count": np.zeros((W * on, 2), np.int32) for name in ("near", "close")},
     }
 

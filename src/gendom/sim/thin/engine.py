@@ -420,15 +420,15 @@ class ThinEngine(Engine):
         )
 
     def _room(self) -> tuple[int, int]:
-        """Numbers of a shell's scratch that CUDA keeps in shared memory, 0 if there is no room, and
-        how many blocks with so many a multiprocessor takes."""
+        """Length of rows of a shell that CUDA keeps in shared memory, 0 if there is no room, and how
+        many blocks with so many a multiprocessor takes."""
         device, m = self.setting.device, self.model
         if m.kind == "rod" or not device.is_cuda:
             return 0, 0
-        room = -(-m.scratch_rows * m.row_length // 2048) * 2048  # for few different kernels
+        room = (m.scratch_rows + 1) * m.row_length
         taken = room * np.dtype(self.setting.dtype).itemsize + OTHER_SHARED
         blocks = min(device.max_shared_memory_per_block // taken, 2)
-        return room * min(blocks, 1), blocks
+        return m.row_length * min(blocks, 1), blocks
 
     def _device_model(self) -> Any:
         s, W, n, m = self.setting, self.num_worlds, self.num_points, self.model

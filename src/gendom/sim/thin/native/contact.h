@@ -44,22 +44,58 @@ template <typename real> struct contact {
     }
 };
 
+// What a turn adds to points: rows 0 to 2 velocities, 3 to 5 places, 6 the number of contacts among which its mass is
+// divided. In shared memory these are whole numbers of small units, which many threads add to much faster.
+template <typename real> struct pushes : rows_of<real> {
+    const real unit, per_step;  // of places and of velocities, over that
+
+    template <typename Model>
+    CUDA_CALLABLE inline pushes(const Model& model, int w, real dt)
+        : rows_of<real>(shared_or(SHARED_PUSH, model.push, w)),
+          unit(model.contact_distance * (sizeof(real) == 4 ? real(1.0 / (1 << 24)) : real(1.0 / (1ll << 48)))),
+          per_step(real(1) / dt) {}
+    CUDA_CALLABLE inline real unit_of(int c) const { return c == 6 ? real(1) : c < 3 ? unit * per_step : unit; }
+    CUDA_CALLABLE inline void add_at(int c, int p, real a) const {
+#if defined(IN_SHARED)
+        real& to = this->at(c, p);
+        if constexpr (sizeof(real) == 4) atomicAdd((int*)&to, __float2int_rn(a / unit_of(c)));
+        else atomicAdd((unsigned long long*)&to, (unsigned long long)__double2ll_rn(a / unit_of(c)));
+#else
+        add_to(*this, c, p, a);
+#endif
+    }
+    CUDA_CALLABLE inline void add3_at(int c, int p, const vec<real>& a) const {
+        add_at(c, p, a.x), add_at(c + 1, p, a.y), add_at(c + 2, p, a.z);
+    }
+    template <typename T> CUDA_CALLABLE inline T sum(int c, int p) const {
+        const T a = this->template get<T>(c, p);
+#if defined(IN_SHARED)
+        if constexpr (sizeof(real) == 4) return unit_of(c) * real(__float_as_int(a));
+        else return unit_of(c) * real(__double_as_longlong(a));
+#else
+        return a;
+#endif
+    }
+    template <typename T> CUDA_CALLABLE inline vec<T> sum3(int c, int p) const {
+        return {sum<T>(c, p), sum<T>(c + 1, p), sum<T>(c + 2, p)};
+    }
+};
+
 // The close pairs of a world in one state.
 template <typename Model, typename real> struct contacts {
     const Model& model;
     const int w;
     const pairs_of close;
-    const rows_of<real> s, push, loose;
+    const rows_of<real> s, loose;
+    const pushes<real> push;
     const real dt, per_dt, mu;
     // Points that take the mean of many pushes go less far than each asks for. Where the first turns do not suffice,
     // over-relaxation takes fewer further ones. From 2 on it may diverge.
     const real over;
 
-    CUDA_CALLABLE inline contacts(const Model& model, int w, const wp::array_t<real>& state, int row,
-                                  real dt, int turn)
-        : model(model), w(w), close(close_pairs(model, w)), s(state, row), push(model.push, w),
-          loose(model.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)),
-          over(turn < needed_turns ? real(1) : real(1.8)) {}
+    CUDA_CALLABLE inline contacts(const Model& model, int w, const rows_of<real>& s, real dt, int turn)
+        : model(model), w(w), close(close_pairs(model, w)), s(s), loose(shared_or(SHARED_LOOSE, model.loose, w)),
+          push(model, w, dt), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)), over(turn < needed_turns ? real(1) : real(1.8)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         int one, other;
@@ -71,9 +107,14 @@ template <typename Model, typename real> struct contacts {
         close.read(k, one, other);
         return one % 4 == 3;
     }
-    // The number of contacts among which the mass of point p is divided.
-    CUDA_CALLABLE inline real split(int p) const {
-        return push.template get<real>(6, p);
+    CUDA_CALLABLE inline real split(int p) const { return push.template sum<real>(6, p); }
+    // Whether pair k touches, if that is known without looking at it again.
+    CUDA_CALLABLE inline bool touches(int k) const {
+#if defined(__CUDA_ARCH__)
+        return true;
+#else
+        return wp::index(model.touching, w, k);
+#endif
     }
     // Whether pair k is pushed apart, and how.
     CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
@@ -102,16 +143,18 @@ template <typename Model, typename real> struct contacts {
 
 // Counts the pairs that touch, of every point that shares in them; tells whether one of this thread's does.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int count_contacts(const Model& model, int w, const wp::array_t<real>& state, int row) {
-    const contacts<Model, real> all(model, w, state, row, real(1), 0);
+CUDA_CALLABLE inline int count_contacts(const contacts<Model, real>& all) {
     int some = 0;
     for (EACH_ONE_IN(k, 0, all.close.number())) {
         const meeting<real> m = all.pair(k);
-        const int touches = wp::index(model.touching, w, k) = m.distance < model.contact_distance;
+        const int touches = m.distance < all.model.contact_distance;
+#if !defined(__CUDA_ARCH__)
+        wp::index(all.model.touching, all.w, k) = touches;
+#endif
         if (!touches) continue;
         some = 1;
         for (int i = 0; i < 4; ++i)
-            if (m.share[i] != real(0)) add_to(all.push, 6, m.point[i], real(1));
+            if (m.share[i] != real(0)) all.push.add_at(6, m.point[i], real(1));
     }
     return some;
 }
@@ -119,63 +162,60 @@ CUDA_CALLABLE inline int count_contacts(const Model& model, int w, const wp::arr
 // One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
 // that asks for another turn.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::array_t<real>& state, int row,
-                                    real dt, int turn) {
-    const contacts<Model, real> all(model, w, state, row, dt, turn);
-    const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * model.contact_distance;
+CUDA_CALLABLE inline int contact_impulses(const contacts<Model, real>& all, int turn) {
+    const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * all.model.contact_distance;
     contact<real> c;
     int again = 0;
     for (EACH_ONE_IN(k, 0, all.close.number())) {
-        if (!wp::index(model.touching, w, k) || !all.find(k, c)) continue;
+        if (!all.touches(k) || !all.find(k, c)) continue;
         if (c.places.distance < enough) again = 1;
-        const vec<real> impulse = c.impulse(), shift = c.shift(dt);
+        const vec<real> impulse = c.impulse(), shift = c.shift(all.dt);
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
-            add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
+            all.push.add3_at(0, p, by * impulse), all.push.add3_at(3, p, by * shift);
         }
     }
     return again;
 }
 
 // Velocity and position of a point take the impulses of a turn, which are then 0 again.
-template <typename T, typename Rows> CUDA_CALLABLE inline void take_impulses_at(int p, const Rows& s, const Rows& push) {
-    typedef typename number_of<T>::type real;
-    s.add3(3, p, push.template get3<T>(0, p));
-    s.add3(0, p, push.template get3<T>(3, p));
+template <typename T, typename real>
+CUDA_CALLABLE inline void take_impulses_at(int p, const rows_of<real>& s, const pushes<real>& push) {
+    s.add3(3, p, push.template sum3<T>(0, p));
+    s.add3(0, p, push.template sum3<T>(3, p));
     for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
 }
 template <typename Model, typename real>
 CUDA_CALLABLE inline void take_impulses(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), push(model.push, w);
+    const rows_of<real> s(state, row);
+    const pushes<real> push(model, w, real(1));
     for (EACH_IN(p, model.first, model.end)) take_impulses_at<T>(p, s, push);
 }
 
 // What a turn pushed into the table or an obstacle goes back to its surface; left there, it would be thrown out by
 // the next step's velocities. Places before that are kept for the transpose.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<real>& state, int row) {
+template <typename Model, typename real> CUDA_CALLABLE inline void end_turn(const contacts<Model, real>& all) {
     typedef typename several<real>::lanes T;
-    const surroundings<T> around(model, w, real(1));
-    const rows_of<real> s(state, row), loose(model.loose, w), push(model.push, w);
-    for (EACH_IN(p, model.first, model.end)) {
-        if (largest_of(push.template get<T>(6, p)) == real(0)) continue;
-        take_impulses_at<T>(p, s, push);
-        const vec<T> x = s.template get3<T>(0, p);
-        push.put3(7, p, x);
-        const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
-        s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);
+    const surroundings<T> around(all.model, all.w, real(1));
+    for (EACH_IN(p, all.model.first, all.model.end)) {
+        if (largest_of(all.push.template sum<T>(6, p)) == real(0)) continue;
+        take_impulses_at<T>(p, all.s, all.push);
+        const vec<T> x = all.s.template get3<T>(0, p);
+        all.push.put3(7, p, x);
+        const T moves = is_above(all.loose.template get<T>(0, p), T(real(0)));
+        all.s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);
     }
 }
 
 // One turn, unless nothing touches; tells whether another one is needed.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int turn_once(const Model& model, int w, const wp::array_t<real>& state, int row, real dt,
-                                   int turn) {
-    if (!block_any(count_contacts(model, w, state, row))) return 0;
-    const int again = block_any(contact_impulses(model, w, state, row, dt, turn));
-    end_turn(model, w, state, row);
+CUDA_CALLABLE inline int turn_once(const Model& model, int w, const rows_of<real>& s, real dt, int turn) {
+    const contacts<Model, real> all(model, w, s, dt, turn);
+    if (!block_any(count_contacts(all))) return 0;
+    const int again = block_any(contact_impulses(all, turn));
+    end_turn(all);
     block_sync();
     return again;
 }
@@ -183,19 +223,29 @@ CUDA_CALLABLE inline int turn_once(const Model& model, int w, const wp::array_t<
 // Applies contact of the body with itself at the end of a step.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void resolve(const Model& model, int w, const wp::array_t<real>& state, int row, real dt) {
-    rebuild_lists(model, w, state, row, 0, real(0.5) * model.contact_margin);
+    const rows_of<real> s(state, row);
+#if defined(IN_SHARED)
+    const rows_of<real> there = shared_or(SHARED_STATE, state, w);
+    copy_rows(model, 6, s, 0, there, 0);
+    block_sync();
+#else
+    const rows_of<real>& there = s;
+#endif
+    rebuild_lists(model, w, there, real(0.5) * model.contact_margin);
     if (near_pairs(model, w).number() == 0) return;
-    wp::array_t<real> of = state;  // with positions and velocities
-    if (model.in_shared) of = model.scratch;
-    const int own = model.in_shared ? w : row;
-    const rows_of<real> s(state, row), there(of, own);
-    if (model.in_shared) copy_rows(model, 6, s, 0, there, 0);
-    list_close(model, w, of, own);
+    list_close(model, w, there);
+    if (close_pairs(model, w).number() == 0) return;
+#if defined(IN_SHARED)
+    for (EACH_IN(p, model.first, model.end))
+        for (int c = 0; c < 7; ++c) pushes<real>(model, w, dt).put(c, p, real(0));
+    block_sync();
+#endif
     for (int turn = 0; turn < model.contact_most_turns; ++turn)
-        if (!turn_once(model, w, of, own, dt, turn)) break;
-    if (!model.in_shared) return;
+        if (!turn_once(model, w, there, dt, turn)) break;
+#if defined(IN_SHARED)
     copy_rows(model, 6, there, 0, s, 0);
     block_sync();
+#endif
 }
 
 // ---- transposes ----------------------------------------------------------------------------------
@@ -354,13 +404,11 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
 
 // Of one turn.
 template <typename Model, typename Adjoint, typename real>
-CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adjoint& adjoint, int w,
-                                             const wp::array_t<real>& state, int row, real dt, int turn) {
-    const rows_of<real> b(adjoint.state, w), by(adjoint.model, w);
+CUDA_CALLABLE inline void contact_impulses_adjoint(const contacts<Model, real>& all, const Adjoint& adjoint) {
+    const rows_of<real> b(adjoint.state, all.w), by(adjoint.model, all.w);
     contact<real> c;
-    const contacts<Model, real> all(model, w, state, row, dt, turn);
     for (EACH_ONE_IN(k, 0, all.close.number())) {
-        if (wp::index(model.touching, w, k) && all.find(k, c)) push_adjoint(all, k, c, b, by);
+        if (all.touches(k) && all.find(k, c)) push_adjoint(all, k, c, b, by);
     }
 }
 
@@ -372,13 +420,13 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
                                           const wp::array_t<real>& state, int row, int c, real dt) {
     rebuild_lists(model, w, state, row, c, real(0));
     if (near_pairs(model, w).number() == 0) return;
-    list_close(model, w, state, row);
     const rows_of<real> s(state, row), before(kept, at), push(model.push, w);
+    list_close(model, w, s);
     int turns = 0;
     for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
         copy_rows(model, 6, s, 0, before, 9 * turns);
         copy_rows(model, 3, s, 0, push, 7);
-        again = turn_once(model, w, state, row, dt, turns);
+        again = turn_once(model, w, s, dt, turns);
         copy_rows(model, 3, push, 7, before, 9 * turns + 6);
     }
     while (turns-- > 0) {
@@ -386,9 +434,10 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
         block_sync();
         copy_rows(model, 6, before, 9 * turns, s, 0);
         block_sync();
-        count_contacts(model, w, state, row);
+        const contacts<Model, real> all(model, w, s, dt, turns);
+        count_contacts(all);
         block_sync();
-        contact_impulses_adjoint(model, adjoint, w, state, row, dt, turns);
+        contact_impulses_adjoint(all, adjoint);
         block_sync();
         take_impulses(model, w, adjoint.state, w);
         block_sync();
