@@ -43,7 +43,6 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
     name: numbers, and arrays [..., n] or of integers."""
     on = int(setting.self_contact)
     W, thickness = len(setting.materials), setting.body.thickness
-    pairs = (W * on, PAIRS * n)
     return {
         "contact": on,
         "contact_distance": thickness,
@@ -54,9 +53,7 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
         # where nothing is near: the first step lists pairs
         "listed": np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)),
         "boxes": np.zeros((W * on, 13, n)),
-        **{name: np.zeros((*pairs, 2), np.int32) for name in ("near", "close")},
-        "touching": np.zeros((pairs[0] * (not setting.device.is_cuda), pairs[1]), np.int32),
-        **{f"{name}_count": np.zeros((W * on, 2), np.int32) for name in ("near", "close")},
+        "pair_counts": np.zeros((W * on, 3, 2), np.int32),
     }
 
 

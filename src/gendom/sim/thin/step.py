@@ -311,7 +311,7 @@ def make_kernels(
                         bad = 1
                     bad = native.block_any(bad)
                 if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
-                    if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
+                    if model.pair_counts[w, 0, 0] + model.pair_counts[w, 0, 1] > model.near.shape[1]:
                         bad = 1
                 if bad != 0:
                     stop(run, w, p, k - 1)

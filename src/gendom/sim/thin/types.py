@@ -138,11 +138,9 @@ def make_types(real: Any) -> SimpleNamespace:
         listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
         boxes: wp.array3d(dtype=real)  # [W, 13, P] around features then [m], and more
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
-        near_count: wp.array2d(dtype=wp.int32)  # [W, 2] from the front and from the back
-        # those of them that a step's turns go over
-        close: wp.array3d(dtype=wp.int32)  # [W, M, 2]
-        close_count: wp.array2d(dtype=wp.int32)  # [W, 2]
-        touching: wp.array2d(dtype=wp.int32)  # [W, M] whether those do, on the CPU
+        close: wp.array3d(dtype=wp.int32)  # [W, M, 2] that a step's turns go over
+        touching: wp.array3d(dtype=wp.int32)  # [W, M, 2] that a turn pushes apart
+        pair_counts: wp.array3d(dtype=wp.int32)  # [W, 3, 2] from the front and from the back
 
     @wp.struct
     class ModelAdjoint:

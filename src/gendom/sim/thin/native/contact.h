@@ -45,47 +45,58 @@ template <typename real> struct contact {
 };
 
 // What a turn adds to points: rows 0 to 2 velocities, 3 to 5 places, 6 the number of contacts among which its mass is
-// divided. In shared memory these are whole numbers of small units, which many threads add to much faster.
+// divided. In shared memory, in float32, these are whole numbers of small units: many threads add to them much faster.
 template <typename real> struct pushes : rows_of<real> {
+#if defined(IN_SHARED)
+    static constexpr bool IS_WHOLE = sizeof(real) == 4;
+#else
+    static constexpr bool IS_WHOLE = false;
+#endif
     const real unit, per_step;  // of places and of velocities, over that
 
     template <typename Model>
     CUDA_CALLABLE inline pushes(const Model& model, int w, real dt)
-        : rows_of<real>(shared_or(SHARED_PUSH, model.push, w)),
-          unit(model.contact_distance * (sizeof(real) == 4 ? real(1.0 / (1 << 24)) : real(1.0 / (1ll << 48)))),
-          per_step(real(1) / dt) {}
+        : rows_of<real>(IS_WHOLE ? shared_or(SHARED_PUSH, model.push, w) : rows_of<real>(model.push, w)),
+          unit(model.contact_distance / real(1 << 24)), per_step(real(1) / dt) {}
     CUDA_CALLABLE inline real unit_of(int c) const { return c == 6 ? real(1) : c < 3 ? unit * per_step : unit; }
     CUDA_CALLABLE inline void add_at(int c, int p, real a) const {
 #if defined(IN_SHARED)
-        real& to = this->at(c, p);
-        if constexpr (sizeof(real) == 4) atomicAdd((int*)&to, __float2int_rn(a / unit_of(c)));
-        else atomicAdd((unsigned long long*)&to, (unsigned long long)__double2ll_rn(a / unit_of(c)));
-#else
-        add_to(*this, c, p, a);
+        if constexpr (IS_WHOLE) atomicAdd((int*)&this->at(c, p), __float2int_rn(a / unit_of(c)));
+        else
 #endif
+        add_to(*this, c, p, a);
     }
     CUDA_CALLABLE inline void add3_at(int c, int p, const vec<real>& a) const {
         add_at(c, p, a.x), add_at(c + 1, p, a.y), add_at(c + 2, p, a.z);
     }
     template <typename T> CUDA_CALLABLE inline T sum(int c, int p) const {
-        const T a = this->template get<T>(c, p);
 #if defined(IN_SHARED)
-        if constexpr (sizeof(real) == 4) return unit_of(c) * real(__float_as_int(a));
-        else return unit_of(c) * real(__double_as_longlong(a));
-#else
-        return a;
+        if constexpr (IS_WHOLE) return unit_of(c) * real(__float_as_int(this->at(c, p)));
+        else
 #endif
+        return this->template get<T>(c, p);
     }
     template <typename T> CUDA_CALLABLE inline vec<T> sum3(int c, int p) const {
         return {sum<T>(c, p), sum<T>(c + 1, p), sum<T>(c + 2, p)};
     }
 };
 
+// Those of the close pairs that touch, in shared memory if there is room.
+template <typename Model> CUDA_CALLABLE inline pairs_of touching_pairs(const Model& model, int w, int close) {
+    const pairs_of touching = pairs_in(model, w, TOUCHING);
+#if defined(IN_SHARED)
+    const auto free = shared_or(SHARED_TOUCHING, model.push, w);
+    const int room = (SHARED_LOOSE - SHARED_TOUCHING) * ROW_LENGTH * sizeof(*free.first) / (2 * sizeof(int));
+    if (close <= room) return {(int*)(free.first - margin), touching.counts, room, true};
+#endif
+    return touching;
+}
+
 // The close pairs of a world in one state.
 template <typename Model, typename real> struct contacts {
     const Model& model;
     const int w;
-    const pairs_of close;
+    const pairs_of close, touching;
     const rows_of<real> s, loose;
     const pushes<real> push;
     const real dt, per_dt, mu;
@@ -94,31 +105,14 @@ template <typename Model, typename real> struct contacts {
     const real over;
 
     CUDA_CALLABLE inline contacts(const Model& model, int w, const rows_of<real>& s, real dt, int turn)
-        : model(model), w(w), close(close_pairs(model, w)), s(s), loose(shared_or(SHARED_LOOSE, model.loose, w)),
+        : model(model), w(w), close(pairs_in(model, w, CLOSE)), touching(touching_pairs(model, w, close.number())), s(s),
+          loose(shared_or(SHARED_LOOSE, model.loose, w)),
           push(model, w, dt), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)), over(turn < needed_turns ? real(1) : real(1.8)) {}
 
-    CUDA_CALLABLE inline meeting<real> pair(int k) const {
-        int one, other;
-        close.read(k, one, other);
-        return feature_pair(one, other, model.pitch).meet(s);
-    }
-    CUDA_CALLABLE inline bool has_point(int k) const {
-        int one, other;
-        close.read(k, one, other);
-        return one % 4 == 3;
-    }
     CUDA_CALLABLE inline real split(int p) const { return push.template sum<real>(6, p); }
-    // Whether pair k touches, if that is known without looking at it again.
-    CUDA_CALLABLE inline bool touches(int k) const {
-#if defined(__CUDA_ARCH__)
-        return true;
-#else
-        return wp::index(model.touching, w, k);
-#endif
-    }
-    // Whether pair k is pushed apart, and how.
-    CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
-        c.places = pair(k);
+    // Whether a pair is pushed apart, and how.
+    CUDA_CALLABLE inline bool find(int one, int other, contact<real>& c) const {
+        c.places = feature_pair(one, other, model.pitch).meet(s);
         const meeting<real>& m = c.places;
         c.depth = model.contact_distance - m.distance;
         if (c.depth <= real(0) || m.distance < real(1e-12)) return false;
@@ -141,22 +135,21 @@ template <typename Model, typename real> struct contacts {
     }
 };
 
-// Counts the pairs that touch, of every point that shares in them; tells whether one of this thread's does.
+// Lists the pairs that touch, and counts them for every point that shares in them.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int count_contacts(const contacts<Model, real>& all) {
-    int some = 0;
-    for (EACH_ONE_IN(k, 0, all.close.number())) {
-        const meeting<real> m = all.pair(k);
-        const int touches = m.distance < all.model.contact_distance;
-#if !defined(__CUDA_ARCH__)
-        wp::index(all.model.touching, all.w, k) = touches;
-#endif
-        if (!touches) continue;
-        some = 1;
+CUDA_CALLABLE inline void list_touching(const contacts<Model, real>& all) {
+    all.touching.clear();
+    block_sync();
+    int one, other;
+    for (EACH_ONE_IN(k, 0, all.close.places())) {
+        if (!all.close.read(k, one, other)) continue;
+        const meeting<real> m = feature_pair(one, other, all.model.pitch).meet(all.s);
+        if (m.distance >= all.model.contact_distance) continue;
+        all.touching.append(one, other);
         for (int i = 0; i < 4; ++i)
             if (m.share[i] != real(0)) all.push.add_at(6, m.point[i], real(1));
     }
-    return some;
+    block_sync();
 }
 
 // One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
@@ -165,9 +158,9 @@ template <typename Model, typename real>
 CUDA_CALLABLE inline int contact_impulses(const contacts<Model, real>& all, int turn) {
     const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * all.model.contact_distance;
     contact<real> c;
-    int again = 0;
-    for (EACH_ONE_IN(k, 0, all.close.number())) {
-        if (!all.touches(k) || !all.find(k, c)) continue;
+    int again = 0, one, other;
+    for (EACH_ONE_IN(k, 0, all.touching.places())) {
+        if (!all.touching.read(k, one, other) || !all.find(one, other, c)) continue;
         if (c.places.distance < enough) again = 1;
         const vec<real> impulse = c.impulse(), shift = c.shift(all.dt);
         for (int i = 0; i < 4; ++i) {
@@ -213,7 +206,8 @@ template <typename Model, typename real> CUDA_CALLABLE inline void end_turn(cons
 template <typename Model, typename real>
 CUDA_CALLABLE inline int turn_once(const Model& model, int w, const rows_of<real>& s, real dt, int turn) {
     const contacts<Model, real> all(model, w, s, dt, turn);
-    if (!block_any(count_contacts(all))) return 0;
+    list_touching(all);
+    if (all.touching.number() == 0) return 0;
     const int again = block_any(contact_impulses(all, turn));
     end_turn(all);
     block_sync();
@@ -232,13 +226,12 @@ CUDA_CALLABLE inline void resolve(const Model& model, int w, const wp::array_t<r
     const rows_of<real>& there = s;
 #endif
     rebuild_lists(model, w, there, real(0.5) * model.contact_margin);
-    if (near_pairs(model, w).number() == 0) return;
+    if (pairs_in(model, w, NEAR).number() == 0) return;
     list_close(model, w, there);
-    if (close_pairs(model, w).number() == 0) return;
+    if (pairs_in(model, w, CLOSE).number() == 0) return;
 #if defined(IN_SHARED)
     for (EACH_IN(p, model.first, model.end))
-        for (int c = 0; c < 7; ++c) pushes<real>(model, w, dt).put(c, p, real(0));
-    block_sync();
+        for (int c = 0; c < 7; ++c) shared_or(SHARED_PUSH, model.push, w).put(c, p, real(0));
 #endif
     for (int turn = 0; turn < model.contact_most_turns; ++turn)
         if (!turn_once(model, w, there, dt, turn)) break;
@@ -354,7 +347,7 @@ template <typename real> struct contact_bar {
 // Of one push. What it adds to derivatives by positions and velocities adds up in `push`, from where `take_impulses`
 // takes it.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, const contact<real>& c,
+CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, bool has_point, const contact<real>& c,
                                        const rows_of<real>& b, const rows_of<real>& by) {
     const meeting<real>& m = c.places;
     const vec<real> impulse = c.impulse(), shift = c.shift(all.dt), none = {real(0), real(0), real(0)};
@@ -381,7 +374,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
         return loose[i] * (moved[i] + real(2) * by_per_mass[i]) + dot(bar.away, x[i]) +
                dot(bar.v, all.s.template get3<real>(3, m.point[i]));
     };
-    const sliding_along along = slides_of(all.s, m, all.has_point(k));
+    const sliding_along along = slides_of(all.s, m, has_point);
     vec<real> e[2] = {none, none};
     real ends[2] = {real(0), real(0)}, t[2];
     for (int a = 0; a < along.count; ++a) {
@@ -407,8 +400,9 @@ template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void contact_impulses_adjoint(const contacts<Model, real>& all, const Adjoint& adjoint) {
     const rows_of<real> b(adjoint.state, all.w), by(adjoint.model, all.w);
     contact<real> c;
-    for (EACH_ONE_IN(k, 0, all.close.number())) {
-        if (all.touches(k) && all.find(k, c)) push_adjoint(all, k, c, b, by);
+    int one, other;
+    for (EACH_ONE_IN(k, 0, all.touching.places())) {
+        if (all.touching.read(k, one, other) && all.find(one, other, c)) push_adjoint(all, one % 4 == 3, c, b, by);
     }
 }
 
@@ -419,7 +413,7 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
                                           const wp::array_t<real>& kept, int at,
                                           const wp::array_t<real>& state, int row, int c, real dt) {
     rebuild_lists(model, w, state, row, c, real(0));
-    if (near_pairs(model, w).number() == 0) return;
+    if (pairs_in(model, w, NEAR).number() == 0) return;
     const rows_of<real> s(state, row), before(kept, at), push(model.push, w);
     list_close(model, w, s);
     int turns = 0;
@@ -435,8 +429,7 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
         copy_rows(model, 6, before, 9 * turns, s, 0);
         block_sync();
         const contacts<Model, real> all(model, w, s, dt, turns);
-        count_contacts(all);
-        block_sync();
+        list_touching(all);
         contact_impulses_adjoint(all, adjoint);
         block_sync();
         take_impulses(model, w, adjoint.state, w);

@@ -116,7 +116,7 @@ CUDA_CALLABLE inline box<real> box_of(const rows_of<real>& s, const feature& f) 
 
 // CUDA kernels that know the length of rows have in shared memory what lives no longer than a step: the scratch, and,
 // when that is not needed, places and velocities, what contacts add to them, and boxes; and what is `loose`.
-enum { SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_LOOSE = 21, SHARED_ROWS = 22 };
+enum { SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 16, SHARED_LOOSE = 21, SHARED_ROWS = 22 };
 #if defined(__CUDA_ARCH__) && defined(ROW_LENGTH)
 #define IN_SHARED
 #endif
@@ -160,20 +160,32 @@ CUDA_CALLABLE inline int count_on(int& count) {
 }
 
 // The pairs of a world's list. On CUDA points against triangles are listed from the back of the array, so
-// that neighbouring threads do alike. Two counts say how many are listed from either end.
+// that neighbouring threads do alike. Two counts say how many are listed from either end. Of lists whose pairs add to
+// points, neighbouring threads take pairs that are far from each other: these seldom add to the same ones.
 struct pairs_of {
-    const wp::array_t<int>& pairs;
-    int* const counts;
-    const int w, room;
-
-    CUDA_CALLABLE inline pairs_of(const wp::array_t<int>& pairs, int* counts, int w)
-        : pairs(pairs), counts(counts), w(w), room(pairs.shape[1]) {}
+    int *const pairs, *const counts;
+    const int room;
+    const bool apart;
 
     CUDA_CALLABLE inline int number() const { return wp::min(counts[0] + counts[1], room); }
-    CUDA_CALLABLE inline void read(int k, int& one, int& other) const {
-        const int front = counts[0], at = k < front ? k : room - 1 - (k - front);
-        one = wp::index(pairs, w, at, 0), other = wp::index(pairs, w, at, 1);
+#if defined(__CUDA_ARCH__)
+    CUDA_CALLABLE inline int shares(int end) const { return (wp::min(counts[end], room) + 31) / 32; }
+    CUDA_CALLABLE inline int places() const { return 32 * (shares(0) + shares(1)); }
+    // Whether there is a pair at this place.
+    CUDA_CALLABLE inline bool read(int place, int& one, int& other) const {
+        const int front = shares(0), end = place >= 32 * front, l = place % 32, turn = place / 32 - end * front;
+        const int k = apart ? l * shares(end) + turn : 32 * turn + l, at = end ? room - 1 - k : k;
+        if (k >= wp::min(counts[end], room)) return false;
+        one = pairs[2 * at], other = pairs[2 * at + 1];
+        return true;
     }
+#else
+    CUDA_CALLABLE inline int places() const { return number(); }
+    CUDA_CALLABLE inline bool read(int at, int& one, int& other) const {
+        one = pairs[2 * at], other = pairs[2 * at + 1];
+        return true;
+    }
+#endif
     // A full list only counts on.
     CUDA_CALLABLE inline void append(int one, int other) const {
 #if defined(__CUDA_ARCH__)
@@ -184,25 +196,21 @@ struct pairs_of {
         const int k = count_on(counts[end]);
         if (k >= room) return;
         const int at = end == 0 ? k : room - 1 - k;
-        wp::index(pairs, w, at, 0) = one, wp::index(pairs, w, at, 1) = other;
+        pairs[2 * at] = one, pairs[2 * at + 1] = other;
     }
     CUDA_CALLABLE inline void clear() const { counts[0] = 0, counts[1] = 0; }
 };
+
 // On CUDA counts are in shared memory, the near ones from `rebuild_lists` on.
-CUDA_CALLABLE inline int* shared_counts(int of) {
-    SHARED int counts[2][2];
-    return counts[of];
-}
+enum { NEAR = 0, CLOSE = 1, TOUCHING = 2 };
+template <typename Model> CUDA_CALLABLE inline pairs_of pairs_in(const Model& model, int w, int list) {
+    const wp::array_t<int>& pairs = list == NEAR ? model.near : list == CLOSE ? model.close : model.touching;
 #if defined(__CUDA_ARCH__)
-#define COUNTS(of, array) shared_counts(of)
+    __shared__ int counts[3][2];
+    return {&wp::index(pairs, w, 0, 0), counts[list], int(pairs.shape[1]), list != NEAR};
 #else
-#define COUNTS(of, array) &wp::index(array, w, 0)
+    return {&wp::index(pairs, w, 0, 0), &wp::index(model.pair_counts, w, list, 0), int(pairs.shape[1]), false};
 #endif
-template <typename Model> CUDA_CALLABLE inline pairs_of near_pairs(const Model& model, int w) {
-    return {model.near, COUNTS(0, model.near_count), w};
-}
-template <typename Model> CUDA_CALLABLE inline pairs_of close_pairs(const Model& model, int w) {
-    return {model.close, COUNTS(1, model.close_count), w};
 }
 
 template <typename Model, typename real>
@@ -214,7 +222,7 @@ CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<rea
         for (int b = own; b < 4; ++b)
             if (i[a] == i[b]) return;
     if (m.distance >= model.contact_distance + model.contact_margin) return;
-    near_pairs(model, w).append(one, other);
+    pairs_in(model, w, NEAR).append(one, other);
 }
 
 
@@ -282,7 +290,7 @@ CUDA_CALLABLE inline void begin_list(const Model& model, int w, const rows_of<re
         const bool folded = pitch > 0 && is_folded(model, s, m, p);
         boxes.put(BITS, p, real(has(0) + 2 * has(1) + 4 * has(2) + (folded << FOLDED)));
     }
-    near_pairs(model, w).clear();
+    pairs_in(model, w, NEAR).clear();
 }
 
 // Features of two points make so many pairs.
@@ -315,14 +323,14 @@ CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& boxes
 // Lists those of the listed pairs that may play a part in a step's contacts.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_close(const Model& model, int w, const rows_of<real>& s) {
-    const pairs_of near = near_pairs(model, w), close = close_pairs(model, w);
+    const pairs_of near = pairs_in(model, w, NEAR), close = pairs_in(model, w, CLOSE);
     const real far = real(1.25) * model.contact_distance;
     close.clear();
     block_sync();
-    for (EACH_ONE_IN(k, 0, near.number())) {
+    for (EACH_ONE_IN(k, 0, near.places())) {
         int one, other;
-        near.read(k, one, other);
-        if (feature_pair(one, other, model.pitch).meet(s).distance < far) close.append(one, other);
+        if (near.read(k, one, other) && feature_pair(one, other, model.pitch).meet(s).distance < far)
+            close.append(one, other);
     }
     block_sync();
 }
@@ -374,27 +382,27 @@ template <typename real> struct may_meet {
 
 #if defined(__CUDA_ARCH__)
 
-// Slots of 32 neighbours, of a shell 8 columns and 4 rows.
+// Slots of 32 neighbours, of a shell 8 columns and 4 rows: the first of them, and how much further the others are.
 struct tiles {
     const int pitch, first, across, number;
 
     template <typename Model> CUDA_CALLABLE inline explicit tiles(const Model& model)
         : pitch(model.pitch), first(model.first), across(pitch / 8),
           number(pitch == 0 ? (model.end - first + 31) / 32 : across * (((model.end - first) / pitch + 3) / 4)) {}
-    CUDA_CALLABLE inline int slot(int tile, int l) const {
-        if (pitch == 0) return first + 32 * tile + l;
-        return first + (tile / across * 4 + l / 8) * pitch + tile % across * 8 + l % 8;
+    CUDA_CALLABLE inline int begin(int tile) const {
+        return first + (pitch == 0 ? 32 * tile : tile / across * 4 * pitch + tile % across * 8);
     }
+    CUDA_CALLABLE inline int further(int l) const { return pitch == 0 ? l : l / 8 * pitch + l % 8; }
 };
 
 template <typename Model, typename real>
 CUDA_CALLABLE inline void bound_tiles(const Model& model, const rows_of<real>& boxes) {
     const tiles all(model);
     for (EACH_ONE(i, 6 * all.number)) {
-        const int tile = i / 6, c = i % 6;
-        real most = boxes.template get<real>(c, all.slot(tile, 0));
-        for (int l = 1; l < 32 && all.slot(tile, l) < model.end; ++l) {
-            const real a = boxes.template get<real>(c, all.slot(tile, l));
+        const int tile = i / 6, c = i % 6, q = all.begin(tile);
+        real most = boxes.template get<real>(c, q);
+        for (int l = 1; l < 32 && q + all.further(l) < model.end; ++l) {
+            const real a = boxes.template get<real>(c, q + all.further(l));
             most = c < 3 ? wp::min(most, a) : larger(most, a);
         }
         boxes.put(TILES + c, all.first + tile, most);
@@ -442,16 +450,18 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
             }
         }
     };
-    for (int p = model.first + warp; p < model.end; p += warps) {
-        if (!(m.template get<real>(0, p) > real(0))) continue;
-        const box<real> b = box_at(boxes, p);
-        const bool folded = cell_is_folded(model, boxes, p);
-        for (int t0 = 0; t0 < all_tiles.number; t0 += lanes) {
-            const int t = t0 + lane;
-            unsigned near = __ballot_sync(all, t < all_tiles.number && all_tiles.slot(t, 31) > p &&
-                                                   gap_between(b, box_at(tile_boxes, t)) < far * far);
+    const int further = all_tiles.further(lane);
+    for (int t0 = 0; t0 < all_tiles.number; t0 += lanes) {
+        const bool exists = t0 + lane < all_tiles.number;
+        const int t = exists ? t0 + lane : 0, begin = all_tiles.begin(t), last = exists ? begin + all_tiles.further(31) : 0;
+        const box<real> around = box_at(tile_boxes, t);
+        for (int p = model.first + warp; p < model.end; p += warps) {  // boxes without points are far from all others
+            const box<real> b = box_at(boxes, p);
+            unsigned near = __ballot_sync(all, last > p && gap_between(b, around) < far * far);
+            if (near == 0) continue;
+            const bool folded = cell_is_folded(model, boxes, p);
             for (; near != 0; near &= near - 1) {
-                const int q = all_tiles.slot(t0 + __ffs(near) - 1, lane);
+                const int q = __shfl_sync(all, begin, __ffs(near) - 1) + further;
                 list_hits(p, q, __ballot_sync(all, q > p && q < model.end &&
                                                        gap_between(b, box_at(boxes, q)) < far * far &&
                                                        !is_neighbour(model, p, q, folded)));
@@ -503,7 +513,8 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
 template <typename Model, typename real>
 CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const rows_of<real>& s, real far) {
 #if defined(__CUDA_ARCH__)
-    if (threadIdx.x < 2) near_pairs(model, w).counts[threadIdx.x] = wp::index(model.near_count, w, threadIdx.x);
+    const int end = threadIdx.x;
+    if (end < 2) pairs_in(model, w, NEAR).counts[end] = wp::index(model.pair_counts, w, NEAR, end);
 #endif
     if (!block_any(moved_on(model, w, s, far))) return;
     begin_list(model, w, s);
@@ -511,7 +522,7 @@ CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const rows_of
     list_pairs(model, w, s);
     block_sync();
 #if defined(__CUDA_ARCH__)
-    if (threadIdx.x < 2) wp::index(model.near_count, w, threadIdx.x) = near_pairs(model, w).counts[threadIdx.x];
+    if (end < 2) wp::index(model.pair_counts, w, NEAR, end) = pairs_in(model, w, NEAR).counts[end];
 #endif
 }
 // The same, by rows c to c + 2.
