@@ -36,6 +36,7 @@ template <typename T> struct number_of { typedef T type; };
 template <typename real> struct several { typedef real lanes; };
 #define EACH_IN(i, a, b) int i = (a) + threadIdx.x; i < (b); i += blockDim.x
 #define EACH_ONE_IN EACH_IN
+#define TWO_AT_ONCE _Pragma("unroll 2")
 #define EACH_OF_WARP(i, a, b) int i = (a) + threadIdx.x % 32; i < (b); i += 32
 
 #else
@@ -54,6 +55,7 @@ template <> struct number_of<several<double>::lanes> { typedef double type; };
     int i = (a); i < (b); i += int(sizeof(typename several<real>::lanes) / sizeof(real))
 #define EACH_ONE_IN(i, a, b) int i = (a); i < (b); ++i
 #define EACH_OF_WARP EACH_ONE_IN
+#define TWO_AT_ONCE
 
 #endif
 

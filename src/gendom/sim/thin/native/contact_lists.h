@@ -114,27 +114,12 @@ CUDA_CALLABLE inline box<real> box_of(const rows_of<real>& s, const feature& f) 
     return b;
 }
 
-// CUDA kernels that know the length of rows have in shared memory what lives no longer than a step: the scratch, and,
-// when that is not needed, places and velocities, what contacts add to them, and boxes; and what is `loose`.
-enum { SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 16, SHARED_LOOSE = 21, SHARED_ROWS = 22 };
-#if defined(__CUDA_ARCH__) && defined(ROW_LENGTH)
-#define IN_SHARED
-#endif
-template <typename real>
-CUDA_CALLABLE inline rows_of<real> shared_or(int row, const wp::array_t<real>& array, int w) {
-#if defined(IN_SHARED)
-    extern __shared__ __align__(16) unsigned char gendom_shared[];
-    return {(real*)gendom_shared + row * ROW_LENGTH + margin, ROW_LENGTH};
-#else
-    return {array, w};
-#endif
-}
-
 // Copies rows of numbers from c on to those from d on.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of<real>& from, int c,
                                     const rows_of<real>& to, int d) {
     typedef typename several<real>::lanes T;
+    TWO_AT_ONCE
     for (EACH_IN(p, model.first, model.end))
         for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
 }
@@ -237,6 +222,7 @@ CUDA_CALLABLE inline int moved_on(const Model& model, int w, const rows_of<real>
     if (far <= real(0)) common = {real(0), real(0), real(0)};
     const vec<T> shift = {T(common.x), T(common.y), T(common.z)};
     T most = T(real(0));
+    TWO_AT_ONCE
     for (EACH_IN(p, model.first, model.end)) {
         const vec<T> d = s.template get3<T>(0, p) - then.template get3<T>(0, p) - shift;
         most = larger(most, dot(d, d) * is_above(m.template get<T>(0, p), T(real(0))));
