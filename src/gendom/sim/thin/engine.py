@@ -286,7 +286,7 @@ class ThinEngine(Engine):
         """Why world w stopped in piece s of a run on the device."""
         error, model = self.setting.error, self.device_model
         begins, done, dt = (of.numpy()[w, s] for of in (run.begins, run.done, run.dt))
-        if self.setting.self_contact and model.pair_counts.numpy()[w, 0].sum() > model.near.shape[1]:
+        if (model.pair_counts.numpy()[w : w + 1, 0].sum(axis=1) > model.near.shape[1]).any():
             return error(
                 w, float(begins + done * dt), f"more than {PAIRS} pairs a point are about to meet",
                 where="contact of the body with itself", fix="fewer points, or a thinner body",

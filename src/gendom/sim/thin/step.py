@@ -310,8 +310,9 @@ def make_kernels(
                     if not native.mean_stretch(model, state, row + k * run.stride) <= mean_limit:
                         bad = 1
                     bad = native.block_any(bad)
-                if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
-                    if model.pair_counts[w, 0, 0] + model.pair_counts[w, 0, 1] > model.near.shape[1]:
+                if model.contact == 1:
+                    listed = model.pair_counts[w, 0, 0] + model.pair_counts[w, 0, 1]
+                    if listed > model.near.shape[1]:
                         bad = 1
                 if bad != 0:
                     stop(run, w, p, k - 1)

@@ -15,6 +15,12 @@ namespace gendom {
 constexpr int needed_turns = 4;
 constexpr double enough_distance = 0.9;
 
+#if defined(IN_SHARED)
+template <typename real> constexpr bool IS_WHOLE = sizeof(real) == 4;
+#else
+template <typename real> constexpr bool IS_WHOLE = false;
+#endif
+
 template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, real a) {
 #if defined(__CUDA_ARCH__)
     const auto to = __cvta_generic_to_global(rows.first + c * rows.pitch + i);  // no question where it is
@@ -24,8 +30,29 @@ template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& r
     rows.first[c * rows.pitch + i] += a;
 #endif
 }
-template <typename real>
-CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const vec<real>& a) {
+// What a turn adds to points: rows 0 to 2 velocities, 3 to 5 places, 6 the number of contacts among which its mass is
+// divided. In shared memory, in float32, these are whole numbers of small units: many threads add to them much faster.
+template <typename real> struct pushes : components<pushes<real>> {
+    const rows_of<real> rows;
+    const real unit, per_step;  // of places, and of velocities over that
+
+    template <typename Model>
+    CUDA_CALLABLE inline pushes(const Model& model, int w, real dt)
+        : rows(IS_WHOLE<real> ? shared_or(SHARED_PUSH, model.push, w) : rows_of<real>(model.push, w)),
+          unit(model.contact_distance / real(1 << 24)), per_step(real(1) / dt) {}
+    CUDA_CALLABLE inline real unit_of(int c) const { return c == 6 ? real(1) : c < 3 ? unit * per_step : unit; }
+    template <typename T> CUDA_CALLABLE inline T get(int c, int i) const {
+        if constexpr (IS_WHOLE<real>) return unit_of(c) * T(__float_as_int(rows.at(c, i)));
+        else return rows.template get<T>(c, i);
+    }
+    template <typename T> CUDA_CALLABLE inline void put(int c, int i, const T& a) const { rows.put(c, i, a); }
+};
+template <typename real> CUDA_CALLABLE inline void add_to(const pushes<real>& push, int c, int i, real a) {
+    if constexpr (IS_WHOLE<real>) atomicAdd((int*)&push.rows.at(c, i), __float2int_rn(a / push.unit_of(c)));
+    else add_to(push.rows, c, i, a);
+}
+template <typename Rows, typename real>
+CUDA_CALLABLE inline void add_to(const Rows& rows, int c, int i, const vec<real>& a) {
     add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
 }
 
@@ -41,43 +68,6 @@ template <typename real> struct contact {
     CUDA_CALLABLE inline vec<real> impulse() const { return share * (speed * n - held_back * vt); }
     CUDA_CALLABLE inline vec<real> shift(real dt) const {
         return dt * impulse() + (share * (over * depth - speed * dt)) * n;
-    }
-};
-
-// What a turn adds to points: rows 0 to 2 velocities, 3 to 5 places, 6 the number of contacts among which its mass is
-// divided. In shared memory, in float32, these are whole numbers of small units: many threads add to them much faster.
-template <typename real> struct pushes : rows_of<real> {
-#if defined(IN_SHARED)
-    static constexpr bool IS_WHOLE = sizeof(real) == 4;
-#else
-    static constexpr bool IS_WHOLE = false;
-#endif
-    const real unit, per_step;  // of places and of velocities, over that
-
-    template <typename Model>
-    CUDA_CALLABLE inline pushes(const Model& model, int w, real dt)
-        : rows_of<real>(IS_WHOLE ? shared_or(SHARED_PUSH, model.push, w) : rows_of<real>(model.push, w)),
-          unit(model.contact_distance / real(1 << 24)), per_step(real(1) / dt) {}
-    CUDA_CALLABLE inline real unit_of(int c) const { return c == 6 ? real(1) : c < 3 ? unit * per_step : unit; }
-    CUDA_CALLABLE inline void add_at(int c, int p, real a) const {
-#if defined(IN_SHARED)
-        if constexpr (IS_WHOLE) atomicAdd((int*)&this->at(c, p), __float2int_rn(a / unit_of(c)));
-        else
-#endif
-        add_to(*this, c, p, a);
-    }
-    CUDA_CALLABLE inline void add3_at(int c, int p, const vec<real>& a) const {
-        add_at(c, p, a.x), add_at(c + 1, p, a.y), add_at(c + 2, p, a.z);
-    }
-    template <typename T> CUDA_CALLABLE inline T sum(int c, int p) const {
-#if defined(IN_SHARED)
-        if constexpr (IS_WHOLE) return unit_of(c) * real(__float_as_int(this->at(c, p)));
-        else
-#endif
-        return this->template get<T>(c, p);
-    }
-    template <typename T> CUDA_CALLABLE inline vec<T> sum3(int c, int p) const {
-        return {sum<T>(c, p), sum<T>(c + 1, p), sum<T>(c + 2, p)};
     }
 };
 
@@ -109,7 +99,7 @@ template <typename Model, typename real> struct contacts {
           loose(shared_or(SHARED_LOOSE, model.loose, w)),
           push(model, w, dt), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)), over(turn < needed_turns ? real(1) : real(1.8)) {}
 
-    CUDA_CALLABLE inline real split(int p) const { return push.template sum<real>(6, p); }
+    CUDA_CALLABLE inline real split(int p) const { return push.template get<real>(6, p); }
     // Whether a pair is pushed apart, and how.
     CUDA_CALLABLE inline bool find(int one, int other, contact<real>& c) const {
         c.places = feature_pair(one, other, model.pitch).meet(s);
@@ -147,7 +137,7 @@ CUDA_CALLABLE inline void list_touching(const contacts<Model, real>& all) {
         if (m.distance >= all.model.contact_distance) continue;
         all.touching.append(one, other);
         for (int i = 0; i < 4; ++i)
-            if (m.share[i] != real(0)) all.push.add_at(6, m.point[i], real(1));
+            if (m.share[i] != real(0)) add_to(all.push, 6, m.point[i], real(1));
     }
     block_sync();
 }
@@ -166,7 +156,7 @@ CUDA_CALLABLE inline int contact_impulses(const contacts<Model, real>& all, int 
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
-            all.push.add3_at(0, p, by * impulse), all.push.add3_at(3, p, by * shift);
+            add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
         }
     }
     return again;
@@ -175,8 +165,8 @@ CUDA_CALLABLE inline int contact_impulses(const contacts<Model, real>& all, int 
 // Velocity and position of a point take the impulses of a turn, which are then 0 again.
 template <typename T, typename real>
 CUDA_CALLABLE inline void take_impulses_at(int p, const rows_of<real>& s, const pushes<real>& push) {
-    s.add3(3, p, push.template sum3<T>(0, p));
-    s.add3(0, p, push.template sum3<T>(3, p));
+    s.add3(3, p, push.template get3<T>(0, p));
+    s.add3(0, p, push.template get3<T>(3, p));
     for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
 }
 template <typename Model, typename real>
@@ -193,7 +183,7 @@ template <typename Model, typename real> CUDA_CALLABLE inline void end_turn(cons
     typedef typename several<real>::lanes T;
     const surroundings<T> around(all.model, all.w, real(1));
     for (EACH_IN(p, all.model.first, all.model.end)) {
-        if (largest_of(all.push.template sum<T>(6, p)) == real(0)) continue;
+        if (largest_of(all.push.template get<T>(6, p)) == real(0)) continue;
         take_impulses_at<T>(p, all.s, all.push);
         const vec<T> x = all.s.template get3<T>(0, p);
         all.push.put3(7, p, x);
