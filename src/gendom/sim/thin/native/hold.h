@@ -37,7 +37,7 @@ CUDA_CALLABLE inline void lead(int holds, const vec<real>& centre, const quat<re
 
 // CUDA kernels that know the length of rows have in shared memory what lives no longer than a step: the scratch, and,
 // when that is not needed, places and velocities, what contacts add to them, and boxes; and what is `loose`.
-enum { SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 16, SHARED_LOOSE = 21, SHARED_ROWS = 22 };
+enum { SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 18, SHARED_LOOSE = 21, SHARED_ROWS = 22 };
 #if defined(__CUDA_ARCH__) && defined(ROW_LENGTH)
 #define IN_SHARED
 #endif
