@@ -354,17 +354,18 @@ CUDA_CALLABLE inline void list_folded_cells(const Model& model, int w, const row
     }
 }
 
-// Pairs of features that may come within this distance of each other, by their boxes.
-template <typename real> struct may_meet {
-    const rows_of<real>& s;
-    const int pitch;
-    const real far2;
-
-    CUDA_CALLABLE inline bool operator()(int one, int other) const {
-        const feature_pair pair(one, other, pitch);
-        return gap_between(box_of(s, pair.first), box_of(s, pair.second)) < far2;
+// Lists the pairs of features of points p and q > p, by their boxes first.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_pairs_of(const Model& model, int w, const rows_of<real>& s, const rows_of<real>& boxes,
+                                        const rows_of<real>& m, int p, int q) {
+    const real far = model.contact_distance + model.contact_margin;
+    int one, other;
+    for (int k = 0; k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS); ++k) {
+        if (!pair_of(model, boxes, m, p, q, k, one, other)) continue;
+        const feature_pair pair(one, other, model.pitch);
+        if (gap_between(box_of(s, pair.first), box_of(s, pair.second)) < far * far) list_pair(model, w, s, one, other);
     }
-};
+}
 
 #if defined(__CUDA_ARCH__)
 
@@ -395,8 +396,8 @@ CUDA_CALLABLE inline void bound_tiles(const Model& model, const rows_of<real>& b
     }
 }
 
-// A warp takes a point. Its lanes compare that one's box with those of tiles, and then of what is in them; each half
-// of them then looks at the pairs of features of one hit. What may meet waits until there are enough for all lanes.
+// A warp takes a point. Its lanes compare that one's box with those of tiles, and then of what is in them. Points that
+// may meet wait until there are enough for all lanes.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<real>& s) {
     const rows_of<real> m(model.inertia, w), boxes = shared_or(SHARED_BOXES, model.boxes, w),
@@ -404,38 +405,12 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
     bound_tiles(model, boxes);
     block_sync();
     const tiles all_tiles(model);
-    constexpr int lanes = 32, most_warps = 8, half = lanes / 2;
+    constexpr int lanes = 32, most_warps = 8;
     constexpr unsigned all = 0xffffffffu;
     __shared__ int waiting[most_warps][2 * lanes][2];
     const int lane = threadIdx.x % lanes, warp = threadIdx.x / lanes, warps = blockDim.x / lanes;
     const real far = model.contact_distance + model.contact_margin;
-    const may_meet<real> may = {s, model.pitch, far * far};
     int count = 0;
-    const auto list_hits = [&](int p, int q, unsigned hits) {
-        while (hits != 0) {
-            const int first = __ffs(hits) - 1;
-            hits &= hits - 1;
-            const int second = __ffs(hits) - 1;  // -1: none
-            hits &= hits - 1;
-            const int mine = lane < half ? first : second, k = lane % half, at = __shfl_sync(all, q, mine & 31);
-            int one = 0, other = 0;
-            const bool may_touch = mine >= 0 && k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS) &&
-                                   pair_of(model, boxes, m, p, at, k, one, other) && may(one, other);
-            const unsigned found = __ballot_sync(all, may_touch);
-            if (may_touch) {
-                int* to = waiting[warp][count + __popc(found & ((1u << lane) - 1u))];
-                to[0] = one, to[1] = other;
-            }
-            count += __popc(found);
-            __syncwarp();
-            if (count >= lanes) {
-                count -= lanes;
-                const int* from = waiting[warp][count + lane];
-                list_pair(model, w, s, from[0], from[1]);
-                __syncwarp();
-            }
-        }
-    };
     const int further = all_tiles.further(lane);
     for (int t0 = 0; t0 < all_tiles.number; t0 += lanes) {
         const bool exists = t0 + lane < all_tiles.number;
@@ -448,13 +423,23 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
             const bool folded = cell_is_folded(model, boxes, p);
             for (; near != 0; near &= near - 1) {
                 const int q = __shfl_sync(all, begin, __ffs(near) - 1) + further;
-                list_hits(p, q, __ballot_sync(all, q > p && q < model.end &&
-                                                       gap_between(b, box_at(boxes, q)) < far * far &&
-                                                       !is_neighbour(model, p, q, folded)));
+                const bool hit = q > p && q < model.end && gap_between(b, box_at(boxes, q)) < far * far &&
+                                 !is_neighbour(model, p, q, folded);
+                const unsigned hits = __ballot_sync(all, hit);
+                int* to = waiting[warp][count + __popc(hits & ((1u << lane) - 1u))];
+                if (hit) to[0] = p, to[1] = q;
+                count += __popc(hits);
+                __syncwarp();
+                if (count < lanes) continue;
+                count -= lanes;
+                const int* at = waiting[warp][count + lane];
+                list_pairs_of(model, w, s, boxes, m, at[0], at[1]);
+                __syncwarp();
             }
         }
     }
-    if (lane < count) list_pair(model, w, s, waiting[warp][lane][0], waiting[warp][lane][1]);
+    const int* at = waiting[warp][lane];
+    if (lane < count) list_pairs_of(model, w, s, boxes, m, at[0], at[1]);
     if (model.pitch > 0) list_folded_cells(model, w, s, boxes);
 }
 
@@ -466,7 +451,6 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
     const rows_of<real> boxes(model.boxes, w), m(model.inertia, w);
     const int width = sizeof(T) / sizeof(real);
     const real far = model.contact_distance + model.contact_margin;
-    const may_meet<real> may = {s, model.pitch, far * far};
     const T limit = T(far * far);
     const auto everywhere = [](const vec<real>& x) -> vec<T> { return {T(x.x), T(x.y), T(x.z)}; };
     for (int p = model.first; p < model.end; ++p) {
@@ -483,10 +467,7 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
                 if (((const real*)&is_near)[l] == real(0) || q <= p || q >= model.end ||
                     is_neighbour(model, p, q, folded))
                     continue;
-                int one, other;
-                for (int k = 0; k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS); ++k)
-                    if (pair_of(model, boxes, m, p, q, k, one, other) && may(one, other))
-                        list_pair(model, w, s, one, other);
+                list_pairs_of(model, w, s, boxes, m, p, q);
             }
         }
     }
