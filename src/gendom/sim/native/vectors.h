@@ -36,7 +36,6 @@ template <typename T> struct number_of { typedef T type; };
 template <typename real> struct several { typedef real lanes; };
 #define EACH_IN(i, a, b) int i = (a) + threadIdx.x; i < (b); i += blockDim.x
 #define EACH_ONE_IN EACH_IN
-#define TWO_AT_ONCE _Pragma("unroll 2")
 #define EACH_OF_WARP(i, a, b) int i = (a) + threadIdx.x % 32; i < (b); i += 32
 
 #else
@@ -55,7 +54,6 @@ template <> struct number_of<several<double>::lanes> { typedef double type; };
     int i = (a); i < (b); i += int(sizeof(typename several<real>::lanes) / sizeof(real))
 #define EACH_ONE_IN(i, a, b) int i = (a); i < (b); ++i
 #define EACH_OF_WARP EACH_ONE_IN
-#define TWO_AT_ONCE
 
 #endif
 
@@ -205,6 +203,7 @@ template <typename real> struct rows_of : components<rows_of<real>> {
     CUDA_CALLABLE inline rows_of(const wp::array_t<real>& a, int row)
         : first(&wp::index(a, row, 0, 0) + margin), pitch(a.shape[2]) {}
     CUDA_CALLABLE inline rows_of(real* first, int pitch) : first(first), pitch(pitch) {}
+    CUDA_CALLABLE inline rows_of from(int c) const { return {first + c * pitch, pitch}; }
 
     CUDA_CALLABLE inline real& at(int c, int i) const { return first[c * pitch + i]; }
 

@@ -141,7 +141,7 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
 
     lists = held == 0
 
-    @wp.func_native(lists * "gendom::rebuild_lists(model, w, state, row, c, far);" + ";")
+    @wp.func_native(lists * f"gendom::rebuild_lists(model, w, {of_row}.from(c), far);" + ";")
     def rebuild_lists(model: ThinModel, w: int, state: rows, row: int, c: int, far: real): ...
 
     @wp.func_native(lists * "gendom::keep_list(model, w, state, row, c);" + ";")

@@ -77,7 +77,7 @@ template <typename Model> CUDA_CALLABLE inline pairs_of touching_pairs(const Mod
 #if defined(IN_SHARED)
     const auto free = shared_or(SHARED_TOUCHING, model.push, w);
     const int room = (SHARED_LOOSE - SHARED_TOUCHING) * ROW_LENGTH * sizeof(*free.first) / (2 * sizeof(int));
-    if (close <= room) return {(int*)(free.first - margin), touching.counts, room, true};
+    if (close <= room) return {(int*)(free.first - margin), touching.counts, room};
 #endif
     return touching;
 }
@@ -95,9 +95,9 @@ template <typename Model, typename real> struct contacts {
     const real over;
 
     CUDA_CALLABLE inline contacts(const Model& model, int w, const rows_of<real>& s, real dt, int turn)
-        : model(model), w(w), close(pairs_in(model, w, CLOSE)), touching(touching_pairs(model, w, close.number())), s(s),
-          loose(shared_or(SHARED_LOOSE, model.loose, w)),
-          push(model, w, dt), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)), over(turn < needed_turns ? real(1) : real(1.8)) {}
+        : model(model), w(w), close(pairs_in(model, w, CLOSE)), touching(touching_pairs(model, w, close.number())),
+          s(s), loose(shared_or(SHARED_LOOSE, model.loose, w)), push(model, w, dt), dt(dt), per_dt(real(1) / dt),
+          mu(wp::index(model.self_friction, w)), over(turn < needed_turns ? real(1) : real(1.8)) {}
 
     CUDA_CALLABLE inline real split(int p) const { return push.template get<real>(6, p); }
     // Whether a pair is pushed apart, and how.
@@ -131,8 +131,8 @@ CUDA_CALLABLE inline void list_touching(const contacts<Model, real>& all) {
     all.touching.clear();
     block_sync();
     int one, other;
-    for (EACH_ONE_IN(k, 0, all.close.places())) {
-        if (!all.close.read(k, one, other)) continue;
+    for (EACH_ONE_IN(k, 0, all.close.number())) {
+        all.close.read(k, one, other);
         const meeting<real> m = feature_pair(one, other, all.model.pitch).meet(all.s);
         if (m.distance >= all.model.contact_distance) continue;
         all.touching.append(one, other);
@@ -149,8 +149,9 @@ CUDA_CALLABLE inline int contact_impulses(const contacts<Model, real>& all, int 
     const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * all.model.contact_distance;
     contact<real> c;
     int again = 0, one, other;
-    for (EACH_ONE_IN(k, 0, all.touching.places())) {
-        if (!all.touching.read(k, one, other) || !all.find(one, other, c)) continue;
+    for (EACH_ONE_IN(k, 0, all.touching.number())) {
+        all.touching.read(k, one, other);
+        if (!all.find(one, other, c)) continue;
         if (c.places.distance < enough) again = 1;
         const vec<real> impulse = c.impulse(), shift = c.shift(all.dt);
         for (int i = 0; i < 4; ++i) {
@@ -391,8 +392,9 @@ CUDA_CALLABLE inline void contact_impulses_adjoint(const contacts<Model, real>& 
     const rows_of<real> b(adjoint.state, all.w), by(adjoint.model, all.w);
     contact<real> c;
     int one, other;
-    for (EACH_ONE_IN(k, 0, all.touching.places())) {
-        if (all.touching.read(k, one, other) && all.find(one, other, c)) push_adjoint(all, one % 4 == 3, c, b, by);
+    for (EACH_ONE_IN(k, 0, all.touching.number())) {
+        all.touching.read(k, one, other);
+        if (all.find(one, other, c)) push_adjoint(all, one % 4 == 3, c, b, by);
     }
 }
 
@@ -402,9 +404,9 @@ template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                           const wp::array_t<real>& kept, int at,
                                           const wp::array_t<real>& state, int row, int c, real dt) {
-    rebuild_lists(model, w, state, row, c, real(0));
-    if (pairs_in(model, w, NEAR).number() == 0) return;
     const rows_of<real> s(state, row), before(kept, at), push(model.push, w);
+    rebuild_lists(model, w, s.from(c), real(0));
+    if (pairs_in(model, w, NEAR).number() == 0) return;
     list_close(model, w, s);
     int turns = 0;
     for (bool again = true; again && turns < model.contact_most_turns; ++turns) {

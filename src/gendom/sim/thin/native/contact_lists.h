@@ -114,12 +114,30 @@ CUDA_CALLABLE inline box<real> box_of(const rows_of<real>& s, const feature& f) 
     return b;
 }
 
+// CUDA kernels that know the length of rows have in shared memory what lives no longer than a step: the scratch, and,
+// when that is not needed, places and velocities, what contacts add to them, and boxes; and what is `loose`.
+enum {
+    SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 18, SHARED_LOOSE = 21,
+    SHARED_ROWS = 22
+};
+#if defined(__CUDA_ARCH__) && defined(ROW_LENGTH)
+#define IN_SHARED
+#endif
+template <typename real>
+CUDA_CALLABLE inline rows_of<real> shared_or(int row, const wp::array_t<real>& array, int w) {
+#if defined(IN_SHARED)
+    extern __shared__ __align__(16) unsigned char gendom_shared[];
+    return {(real*)gendom_shared + row * ROW_LENGTH + margin, ROW_LENGTH};
+#else
+    return {array, w};
+#endif
+}
+
 // Copies rows of numbers from c on to those from d on.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of<real>& from, int c,
                                     const rows_of<real>& to, int d) {
     typedef typename several<real>::lanes T;
-    TWO_AT_ONCE
     for (EACH_IN(p, model.first, model.end))
         for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
 }
@@ -145,32 +163,16 @@ CUDA_CALLABLE inline int count_on(int& count) {
 }
 
 // The pairs of a world's list. On CUDA points against triangles are listed from the back of the array, so
-// that neighbouring threads do alike. Two counts say how many are listed from either end. Of lists whose pairs add to
-// points, neighbouring threads take pairs that are far from each other: these seldom add to the same ones.
+// that neighbouring threads do alike. Two counts say how many are listed from either end.
 struct pairs_of {
     int *const pairs, *const counts;
     const int room;
-    const bool apart;
 
     CUDA_CALLABLE inline int number() const { return wp::min(counts[0] + counts[1], room); }
-#if defined(__CUDA_ARCH__)
-    CUDA_CALLABLE inline int shares(int end) const { return (wp::min(counts[end], room) + 31) / 32; }
-    CUDA_CALLABLE inline int places() const { return 32 * (shares(0) + shares(1)); }
-    // Whether there is a pair at this place.
-    CUDA_CALLABLE inline bool read(int place, int& one, int& other) const {
-        const int front = shares(0), end = place >= 32 * front, l = place % 32, turn = place / 32 - end * front;
-        const int k = apart ? l * shares(end) + turn : 32 * turn + l, at = end ? room - 1 - k : k;
-        if (k >= wp::min(counts[end], room)) return false;
+    CUDA_CALLABLE inline void read(int k, int& one, int& other) const {
+        const int at = k < counts[0] ? k : room - 1 - (k - counts[0]);
         one = pairs[2 * at], other = pairs[2 * at + 1];
-        return true;
     }
-#else
-    CUDA_CALLABLE inline int places() const { return number(); }
-    CUDA_CALLABLE inline bool read(int at, int& one, int& other) const {
-        one = pairs[2 * at], other = pairs[2 * at + 1];
-        return true;
-    }
-#endif
     // A full list only counts on.
     CUDA_CALLABLE inline void append(int one, int other) const {
 #if defined(__CUDA_ARCH__)
@@ -192,9 +194,9 @@ template <typename Model> CUDA_CALLABLE inline pairs_of pairs_in(const Model& mo
     const wp::array_t<int>& pairs = list == NEAR ? model.near : list == CLOSE ? model.close : model.touching;
 #if defined(__CUDA_ARCH__)
     __shared__ int counts[3][2];
-    return {&wp::index(pairs, w, 0, 0), counts[list], int(pairs.shape[1]), list != NEAR};
+    return {&wp::index(pairs, w, 0, 0), counts[list], int(pairs.shape[1])};
 #else
-    return {&wp::index(pairs, w, 0, 0), &wp::index(model.pair_counts, w, list, 0), int(pairs.shape[1]), false};
+    return {&wp::index(pairs, w, 0, 0), &wp::index(model.pair_counts, w, list, 0), int(pairs.shape[1])};
 #endif
 }
 
@@ -222,7 +224,6 @@ CUDA_CALLABLE inline int moved_on(const Model& model, int w, const rows_of<real>
     if (far <= real(0)) common = {real(0), real(0), real(0)};
     const vec<T> shift = {T(common.x), T(common.y), T(common.z)};
     T most = T(real(0));
-    TWO_AT_ONCE
     for (EACH_IN(p, model.first, model.end)) {
         const vec<T> d = s.template get3<T>(0, p) - then.template get3<T>(0, p) - shift;
         most = larger(most, dot(d, d) * is_above(m.template get<T>(0, p), T(real(0))));
@@ -313,10 +314,10 @@ CUDA_CALLABLE inline void list_close(const Model& model, int w, const rows_of<re
     const real far = real(1.25) * model.contact_distance;
     close.clear();
     block_sync();
-    for (EACH_ONE_IN(k, 0, near.places())) {
+    for (EACH_ONE_IN(k, 0, near.number())) {
         int one, other;
-        if (near.read(k, one, other) && feature_pair(one, other, model.pitch).meet(s).distance < far)
-            close.append(one, other);
+        near.read(k, one, other);
+        if (feature_pair(one, other, model.pitch).meet(s).distance < far) close.append(one, other);
     }
     block_sync();
 }
@@ -400,8 +401,7 @@ CUDA_CALLABLE inline void bound_tiles(const Model& model, const rows_of<real>& b
 // may meet wait until there are enough for all lanes.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<real>& s) {
-    const rows_of<real> m(model.inertia, w), boxes = shared_or(SHARED_BOXES, model.boxes, w),
-        tile_boxes(&boxes.at(TILES, model.first), boxes.pitch);
+    const rows_of<real> m(model.inertia, w), boxes = shared_or(SHARED_BOXES, model.boxes, w);
     bound_tiles(model, boxes);
     block_sync();
     const tiles all_tiles(model);
@@ -414,8 +414,9 @@ CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<re
     const int further = all_tiles.further(lane);
     for (int t0 = 0; t0 < all_tiles.number; t0 += lanes) {
         const bool exists = t0 + lane < all_tiles.number;
-        const int t = exists ? t0 + lane : 0, begin = all_tiles.begin(t), last = exists ? begin + all_tiles.further(31) : 0;
-        const box<real> around = box_at(tile_boxes, t);
+        const int t = exists ? t0 + lane : 0, begin = all_tiles.begin(t);
+        const int last = exists ? begin + all_tiles.further(31) : 0;
+        const box<real> around = box_at(boxes.from(TILES), model.first + t);
         for (int p = model.first + warp; p < model.end; p += warps) {  // boxes without points are far from all others
             const box<real> b = box_at(boxes, p);
             unsigned near = __ballot_sync(all, last > p && gap_between(b, around) < far * far);
@@ -491,12 +492,6 @@ CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const rows_of
 #if defined(__CUDA_ARCH__)
     if (end < 2) wp::index(model.pair_counts, w, NEAR, end) = pairs_in(model, w, NEAR).counts[end];
 #endif
-}
-// The same, by rows c to c + 2.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const wp::array_t<real>& state, int row, int c, real far) {
-    const rows_of<real> s(state, row);
-    rebuild_lists(model, w, rows_of<real>(&s.at(c, 0), s.pitch), far);
 }
 
 // A state keeps where points were when pairs were listed.

@@ -35,22 +35,6 @@ CUDA_CALLABLE inline void lead(int holds, const vec<real>& centre, const quat<re
 #define SHARED static
 #endif
 
-// CUDA kernels that know the length of rows have in shared memory what lives no longer than a step: the scratch, and,
-// when that is not needed, places and velocities, what contacts add to them, and boxes; and what is `loose`.
-enum { SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 18, SHARED_LOOSE = 21, SHARED_ROWS = 22 };
-#if defined(__CUDA_ARCH__) && defined(ROW_LENGTH)
-#define IN_SHARED
-#endif
-template <typename real>
-CUDA_CALLABLE inline rows_of<real> shared_or(int row, const wp::array_t<real>& array, int w) {
-#if defined(IN_SHARED)
-    extern __shared__ __align__(16) unsigned char gendom_shared[];
-    return {(real*)gendom_shared + row * ROW_LENGTH + margin, ROW_LENGTH};
-#else
-    return {array, w};
-#endif
-}
-
 // Where a gripper is. Of the next steps these are in shared memory on CUDA; CPUs only read that code.
 template <typename real> struct pose { vec<real> centre; quat<real> by; };
 constexpr int poses = 64;
@@ -73,16 +57,6 @@ template <typename Model, typename real>
 CUDA_CALLABLE inline void hold(const Model& model, int w, int g, const pose<real>& at,
                                const wp::array_t<real>& state, int next) {
     const rows_of<real> to(state, next), place(model.place, w * model.holds.shape[1] + g);
-#if defined(IN_SHARED)  // of bodies that meet themselves most points need no look at global memory
-    const rows_of<real> loose = shared_or(SHARED_LOOSE, model.loose, w);
-    const int columns = model.points * model.pitch / (model.end - model.first);
-    for (EACH_ONE_IN(p, model.first, model.end)) {
-        if (loose.template get<real>(0, p) > real(0)) continue;
-        const int column = p % model.pitch, i = (p / model.pitch - 1) * columns + column;
-        if (column < columns) lead(wp::index(model.holds, w, g, i), at.centre, at.by, place, to, p);
-    }
-    return;
-#endif
     for (EACH_ONE(i, model.points))
         lead(wp::index(model.holds, w, g, i), at.centre, at.by, place, to, wp::index(model.slot, i) - margin);
 }
