@@ -452,8 +452,9 @@ class ThinEngine(Engine):
         )  # fmt: skip
         made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
         pairs = W * made.contact, PAIRS * n, 2
-        for name in ("near", "close", "touching"):  # only what counts tell of is ever read
-            setattr(made, name, wp.empty(pairs, dtype=wp.int32, device=s.device))
+        empty: Any = wp.empty  # only what counts tell of is ever read
+        for name in ("near", "close", "touching"):
+            setattr(made, name, empty(pairs, dtype=wp.int32, device=s.device))
         room = 28 + 7 * self.closed.shape[1] + 36 * (n + 2) + 10 * (self.holds[0].size + 1)
         # aligned; the last group takes no less than others
         made.interleaved = self.zeros((W + LANES, room) if self.interleaved else (0, 0))
