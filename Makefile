@@ -42,6 +42,8 @@ export PYTHONDONTWRITEBYTECODE :=
 demo: $(CORE)
 	@$(BIN)/gendom demo $(ARGS)
 
+# As many workers as cores: threads of BLAS in each would only wait for each other.
+test test-lowest: export OMP_NUM_THREADS := 1
 test: $(FULL)
 	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 

@@ -46,8 +46,7 @@ def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
 
 def predicted(end, *sds):
     return MotionForecast(
-        motion=predefined_lift("rope", end),
-        sd=tuple({name: s for name in SHOWN} for s in sds),
+        motion=predefined_lift("rope", end), sd=tuple({name: s for name in SHOWN} for s in sds)
     )
 
 

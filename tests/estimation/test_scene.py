@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation import (
-    UNKNOWNS,
-    EstimateSettings,
-    LiftScene,
-    SceneSettings,
-    Theta,
-    estimate,
-)
+from gendom.estimation import UNKNOWNS, EstimateSettings, LiftScene, SceneSettings, Theta, estimate
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.placing import lying_line, lying_rectangle
 from gendom.estimation.problem import Part

@@ -45,11 +45,7 @@ PACKAGES = {  # module: its code, what it adds, by which name
     "odd": ("Task = 3", "tasks", "Task"),
     "twin": (TWIN, "tasks", "Twin"),
     "hemp": (HEMP, "materials", "MATERIALS"),
-    "flax": (
-        HEMP.replace('"nu"', '"mu"').replace("hemp", "flax"),
-        "materials",
-        "MATERIALS",
-    ),
+    "flax": (HEMP.replace('"nu"', '"mu"').replace("hemp", "flax"), "materials", "MATERIALS"),
     "wet": (code("recipes", "humidity.py"), "unknowns", "HUMIDITY"),
     "grid": (code("recipes", "grid.py"), "methods", "grid"),
     "npy_camera": (code("recipes", "npy_camera.py"), "cameras", "NpyCamera"),

@@ -32,11 +32,11 @@ def recorded(tmp_path):
     (tmp_path / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.3\ngrasp = "end"\n')
     for name, side in (("left", -1.0), ("right", 1.0)):
         eye = (0.6, 0.6 * side, 0.45)
-        camera = make_camera(name, eye=eye, target=(0.45, 0.0, 0.2), scale=0.4)
+        camera = make_camera(name, eye=eye, target=(0.45, 0.0, 0.2), scale=0.3)
         stated = camera.calibrated().copy()
         stated[:3, 3] += rng.normal(0.0, 1e-3, 3)
         writer = PngWriter(tmp_path / "cameras" / name, camera.at(stated))
-        for k, t in enumerate(np.arange(motion.start, motion.end, 1.0 / 30.0)):
+        for k, t in enumerate(np.arange(motion.start, motion.end, 1.0 / 25.0)):
             shape = arm_shape(XARM7, motion.at(t), 0.016)
             parts = [Rope(np.array([a, b + 1e-6]), r) for a, b, r, n in
                      zip(shape.start, shape.end, shape.radius, shape.names, strict=True)

@@ -192,14 +192,7 @@ def pair(scale=0.5):
 
 
 def write_lift(
-    folder,
-    *,
-    frames=6,
-    scale=0.5,
-    sensor=NOISE,
-    cameras=None,
-    things=lambda t: [],
-    rope=True,
+    folder, *, frames=6, scale=0.5, sensor=NOISE, cameras=None, things=lambda t: [], rope=True
 ):
     """A recording of a rope's lift by two cameras, and the ropes.
 

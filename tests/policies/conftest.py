@@ -8,13 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gendom.materials import (
-    PARAMETERS,
-    Material,
-    Rope,
-    dimensionless_parameters,
-    size_of,
-)
+from gendom.materials import PARAMETERS, Material, Rope, dimensionless_parameters, size_of
 from gendom.policies import Column, Description, GoalRange, Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import RopeReaching

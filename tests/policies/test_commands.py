@@ -322,7 +322,7 @@ def test_train_then_evaluate(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(Simulation, "carry_out", thrown)
     generate(Demonstrator(task=RopeReaching().of_one_size()), 200, tmp_path / "set", seed=0)
     paths = [tmp_path / f"{condition}.onnx" for condition in ("all", "none")]
-    words = ["train", "rope-reaching", "--data", tmp_path / "set", "--epochs", "25"]
+    words = ["train", "rope-reaching", "--data", tmp_path / "set", "--epochs", "15"]
     words += ["--cases", "40", "--condition"]
     summary, _ = told(capsys, [*words, "all", "--out", paths[0], "--seed", "5", "--json"], 0)
     assert summary["training"]["seed"] == 5

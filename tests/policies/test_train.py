@@ -65,7 +65,7 @@ def mean_error(policy: Policy) -> float:
 @pytest.fixture(scope="module")
 def distal(tmp_path_factory) -> Policy:
     path = tmp_path_factory.mktemp("policy") / "distal.onnx"
-    return train(toy(1200), path, Training(epochs=60))
+    return train(toy(1200), path, Training(epochs=40))
 
 
 def test_distal_reaches_goals_where_the_mean_action_does_not(distal, tmp_path):
@@ -209,7 +209,7 @@ def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)
     real = replace(real, goal=real.goal + 0.03).chosen(real.parameters["bending_ratio"] < 0.35)
-    how = Training(epochs=60, finetune_steps=500)
+    how = Training(epochs=40, finetune_steps=500)
     tuned = train(toy(1200), tmp_path / "p.onnx", how, finetune=real)
     about, new = tuned.description.training, toy(500, seed=1)
     assert (about["demonstrations"], about["finetuned_on"]) == (1200, len(real))

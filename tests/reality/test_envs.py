@@ -14,7 +14,6 @@ from gymnasium.utils.env_checker import check_env
 
 import gendom.reality.envs as envs
 from gendom.errors import ParameterError, RobotError
-from gendom.installation import how_to_install
 from gendom.materials import Material
 from gendom.reality import OBJECTS, RealRope, RealWorld
 from gendom.tasks import RopeReaching, task_names
@@ -191,10 +190,3 @@ def test_bad_arguments_and_actions():
     for action in bad:
         with pytest.raises(ParameterError, match="action must be"):
             env.step(action)
-
-
-def test_the_second_reality_needs_no_gymnasium(run_python):
-    blocked = "import sys; sys.modules['gymnasium'] = None\n"
-    code = "try:\n import gendom.reality.envs\nexcept Exception as e: print(type(e).__name__, e)"
-    message = run_python(f"{blocked}import gendom.reality\n{code}")
-    assert message.startswith("DeviceError") and how_to_install("reality") in message

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import SimulationError
+from gendom.installation import how_to_install
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import OBJECTS, Layout, RealCloth, Reality, RealObject, RealRope
 
@@ -86,6 +87,21 @@ def test_a_rope_sags_as_a_beam(name):
     assert np.all(np.diff(height[1:]) < 0.0)
 
 
+def test_the_hand_is_where_its_path_has_it_at_every_step():
+    x = []
+    for goes in (1, 50):
+        world = Reality(COTTON, lying())
+        start = world.vertices()[-1]
+        world.follow(lambda t, start=start: start + np.multiply.outer(t, [0.0, 0.0, 0.4]))
+        world.step_to(0.001)
+        world.attach()
+        for time in np.linspace(0.001, 0.0135, goes + 1)[1:]:
+            world.step_to(time)
+        x.append(world.vertices())
+    assert x[0][-1, 2] - start[2] > 0.003
+    np.testing.assert_array_equal(*x)
+
+
 def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
     world = Reality(COTTON, lying())
     world.follow(lambda t: (0.35, 0.0, 0.108))
@@ -94,20 +110,23 @@ def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
         world.attach()
 
 
-def test_a_backend_that_cannot_render_is_named(run_python):
-    """With the reason that it gave when mujoco was imported; physics runs without it."""
+def test_what_is_not_there_is_named(run_python):
+    """A backend, with the reason that it gave when mujoco was imported, and Gymnasium; physics runs
+    without them."""
     code = (
-        "import os; os.environ['MUJOCO_GL'] = 'nothing'\n"
+        "import os, sys; os.environ['MUJOCO_GL'] = 'nothing'; sys.modules['gymnasium'] = None\n"
         "from gendom.reality import *\n"
         "rope = find_object('rope-cotton')\n"
         "layout = Layout(origin=(0.35, 0.0, rope.radius))\n"
         "world = Reality(rope, layout, cameras=default_cameras())\n"
         "world.step_to(0.01)\n"
-        "try:\n world.render(0)\nexcept Exception as e: print(type(e).__name__, e)"
+        "for of in 'world.render(0)', 'import gendom.reality.envs':\n"
+        " try: exec(of)\n except Exception as e: print(type(e).__name__, e)"
     )
-    message = run_python(code)
-    assert message.startswith("DeviceError rendering, MUJOCO_GL=nothing: no OpenGL context (")
-    assert "invalid value" in message and "libegl1" in message and "libosmesa6" in message
+    backend, gymnasium = run_python(code).split("\n")
+    assert backend.startswith("DeviceError rendering, MUJOCO_GL=nothing: no OpenGL context (")
+    assert "invalid value" in backend and "libegl1" in backend and "libosmesa6" in backend
+    assert gymnasium.startswith("DeviceError") and how_to_install("reality") in gymnasium
 
 
 def test_a_world_that_diverges_is_told_and_leaves_no_file(tmp_path, monkeypatch):

@@ -78,7 +78,7 @@ class Square(ViewerModel):
 def viewer():
     """Of the square, on any port."""
     with contextlib.closing(Viewer(Square(), port=0)) as made:
-        threading.Thread(target=made.serve_forever, daemon=True).start()
+        threading.Thread(target=made.serve_forever, args=(0.02,), daemon=True).start()
         yield made
         made.shutdown()
 

@@ -19,7 +19,7 @@ import tyro
 
 from gendom.errors import ParameterError, did_you_mean
 
-PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
+PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.HelptextFromCommentsOff)
 """How flags are read: none has a twin with --no-, and those without a value are left out."""
 
 EVERYWHERE = ("--help", "--debug", "--quiet")

@@ -15,7 +15,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.stats import truncnorm
+from scipy.special import ndtr, ndtri
 
 from gendom.arguments import check_choice, require
 from gendom.arrays import Array
@@ -301,9 +301,9 @@ def forecast(
 def drawn(prior: Prior, rng: np.random.Generator) -> Array:
     """[P] transformed values drawn from a prior; by name, so that other lifts are drawn alike."""
     shares = dict(zip(UNKNOWNS, rng.random(len(UNKNOWNS)), strict=True))
-    ends = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd
-    own = [shares[name] for name in prior.names]
-    return truncnorm.ppf(own, *ends, loc=prior.mean, scale=prior.sd)
+    own = np.array([shares[name] for name in prior.names])
+    low, high = (ndtr((end - prior.mean) / prior.sd) for end in (prior.low, prior.high))
+    return prior.mean + prior.sd * ndtri(low + own * (high - low))
 
 
 def imagined(

@@ -126,8 +126,7 @@ def result_of(
     seconds: float,
     notes: Sequence[str] = (),
 ) -> FittedEstimate:
-    """Everything about a finished search; ``seconds`` is how long it took [s], ``alone``
-    is empty where it was not computed."""
+    """Everything about a search that took so many seconds; ``alone`` is empty if not computed."""
     fits, recordings = [], []
     for k, (part, theta) in enumerate(zip(problem.parts, posterior.thetas, strict=True)):
         x = replay(part.scene, [theta])[:, 0]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -399,9 +399,9 @@ def rms(error: Tensor) -> float:
 @contextmanager
 def reproducible(seed: int, device: str = "cpu") -> Iterator[None]:
     """Seeded torch on a device, and on one thread, which is fastest for small networks; all put
-    back after."""
-    threads = torch.get_num_threads()
-    with torch.random.fork_rng(devices=[device] if device != "cpu" else []), torch.device(device):
+    back after. On the CPU without torch.device, with which all operations go through Python."""
+    threads, gpus = torch.get_num_threads(), [device] if device != "cpu" else []
+    with torch.random.fork_rng(devices=gpus), torch.device(device) if gpus else nullcontext():
         torch.manual_seed(seed)
         torch.set_num_threads(1)
         try:

@@ -100,7 +100,7 @@ class Reality:
         # Each vertex has three slides along the world's axes.
         self._dofs = self.model.body_dofadr[self._bodies][:, None] + np.arange(3)
         self._ties = np.array([self.model.equality(f"hand_{v}").id for v in vertices])
-        self._path: Callable[[float], npt.ArrayLike] | None = None
+        self._path: Callable[[Array], npt.ArrayLike] | None = None
         self._twist: Twist | None = None
         self._adaptive = adaptive
         self._renderer: Any = None
@@ -127,12 +127,13 @@ class Reality:
             # together, which is quicker, and one after the other, as MuJoCo's clock adds them
             ends = np.cumsum(np.r_[self.time, np.full(min(left, 64), step)])[1:]
             driven = None if self.robot is None else self.robot.control(self.data, ends)
-            for end in ends:
+            hand = None if self._path is None else np.broadcast_to(self._path(ends), (len(ends), 3))
+            for k in range(len(ends)):
                 self._apply_loads()
                 if driven is not None:
                     next(driven)
-                elif self._path is not None:
-                    self.data.mocap_pos[0] = self._path(end)
+                elif hand is not None:
+                    self.data.mocap_pos[0] = hand[k]
                 self._mujoco.mj_step(self.model, self.data)
                 # counted anew only where the step changed: half a step must not be rounded twice
                 again, left = self._remaining_steps(time), left - 1
@@ -178,8 +179,8 @@ class Reality:
 
     # ---- the hand --------------------------------------------------------------------------------
 
-    def follow(self, path: Callable[[float], npt.ArrayLike]) -> None:
-        """Send the free hand along a path, time [s] -> position [3] [m]."""
+    def follow(self, path: Callable[[Array], npt.ArrayLike]) -> None:
+        """Send the free hand along a path, times [T] [s] -> positions [T, 3] or [3] [m]."""
         require(self.robot is None, "the robot moves the hand", fix="give it a motion")
         self._path = path
 

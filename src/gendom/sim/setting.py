@@ -111,7 +111,7 @@ class Solver:
     substep: float | None = None
     """Fixed substep [s], or None for ``cfl`` times each world's stability limit."""
     cfl: float | None = None
-    """Share of that limit (default: the engine's ``CFL``)."""
+    """Share of that limit (default: the engine's)."""
     dtype: str | None = None
     """``float32`` (default of the MPM) or ``float64`` (default of rods and shells)."""
     device: str = "cpu"

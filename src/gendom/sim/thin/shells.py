@@ -33,7 +33,7 @@ class ShellModel:
     state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 21, 33
     threads_on_cuda: ClassVar = 256
     cfl, undamped_cfl = 0.8, 0.4
-    """Nonlinear vibrations gain energy in longer steps, see ``benchmarks/swing.py``."""
+    """As of rods; undamped, nonlinear ones gain energy in longer steps (benchmarks/swing.py)."""
     woven: ClassVar[tuple[str, ...]] = WEAVE
     border_rows: ClassVar = [2, 3]
     per_turn = np.zeros(())
