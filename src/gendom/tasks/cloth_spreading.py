@@ -83,9 +83,6 @@ CHOICES = tuple(round(0.05 * k, 2) for k in range(14))
 FLAT_ANGLE, FLAT_HEIGHT = math.radians(20.0), 0.05
 """What lies flat is inclined by at most this [rad], and at most so high above the table [sides]."""
 
-PIXEL = 1.0 / 500.0
-"""Resolution at which areas are measured [sides]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ClothSpreading(Task):
@@ -96,9 +93,9 @@ class ClothSpreading(Task):
 
     Action: A [-], the paper's acceleration, 0 to 0.65. There is no goal but to be spread: policies
     give the A for an object. `share` is how much of the cloth lies spread, smooth and free of
-    wrinkles (see `spread_areas`), `unspread` how much does not, `covered` how much of the table it
-    covers over its own area: the paper's extended ratio. An object's best A is the smallest that
-    reaches a share of 0.75.
+    wrinkles (see `gendom.tasks.areas`), `unspread` how much does not, `covered` how much of the
+    table it covers over its own area: the paper's extended ratio. An object's best A is the
+    smallest that reaches a share of 0.75.
     """
 
     name: ClassVar[str] = "cloth-spreading"
@@ -158,8 +155,9 @@ class ClothSpreading(Task):
         return unit_of("s", item) * np.array([self.end])
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
-        x = seen.points[-1] / size_of(item)
-        share, covered = spread_areas(x, lattice_triangles(*seen.lattice))
+        from gendom.tasks.areas import spread_areas  # Warp, which takes long to import
+
+        share, covered = spread_areas(seen.points[-1] / size_of(item), seen.lattice)
         return {"share": share, "unspread": 1.0 - share, "covered": covered}
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
@@ -186,34 +184,3 @@ def lattice_triangles(rows: int, columns: int) -> np.ndarray:
     a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]
     halves = [np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]
     return np.concatenate([h.reshape(-1, 3) for h in halves])
-
-
-def spread_areas(x: Array, triangles: np.ndarray) -> tuple[float, float]:
-    """Share of a cloth that lies spread, and the area of the table under all of it [sides^2].
-
-    What lies spread is smooth and free of wrinkles: the area of the table under triangles that lie
-    flat, inclined by at most 20 degrees and at most 0.05 sides above it. What lies below another
-    layer does not count twice.
-
-    Args:
-        x: [V, 3] vertices [sides]; the table is z = 0.
-        triangles: [F, 3].
-    """
-    from PIL import Image, ImageDraw  # not before it is needed
-
-    corners = x[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
-    flat = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE) * size
-    flat &= corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT
-    pixels = (x[:, :2] - x[:, :2].min(axis=0)) / PIXEL
-    width, height = (int(p) + 2 for p in pixels.max(axis=0))
-    picture = Image.new("1", (width, height))
-    core = ImageDraw.Draw(picture).draw  # its polygons alone take half the time
-    ink, areas = core.draw_ink(1), []
-    for part in (triangles[flat], triangles[~flat]):
-        for triangle in pixels[part].reshape(-1, 6).tolist():
-            core.draw_polygon(triangle, ink, 1)
-        # pixels that a border crosses count as covered
-        areas.append(min(float(np.asarray(picture).sum()) * PIXEL**2, 1.0))
-    return areas[0], areas[1]

@@ -187,13 +187,23 @@ template <typename Own> struct components {
 // The rows of an array [rows, components, points] from point 0 on; points stand after a margin.
 constexpr int margin = 8;
 
+#if defined(ROW_LENGTH)
+struct row_length {  // known when compiled, and so are addresses
+    CUDA_CALLABLE inline row_length(int) {}
+    CUDA_CALLABLE inline constexpr operator int() const { return ROW_LENGTH; }
+};
+#else
+typedef int row_length;
+#endif
+
 template <typename real> struct rows_of : components<rows_of<real>> {
     real* first;
-    int pitch;
+    row_length pitch;
 
     CUDA_CALLABLE inline rows_of(const wp::array_t<real>& a, int row)
         : first(&wp::index(a, row, 0, 0) + margin), pitch(a.shape[2]) {}
     CUDA_CALLABLE inline rows_of(real* first, int pitch) : first(first), pitch(pitch) {}
+    CUDA_CALLABLE inline rows_of from(int c) const { return {first + c * pitch, pitch}; }
 
     CUDA_CALLABLE inline real& at(int c, int i) const { return first[c * pitch + i]; }
 

@@ -43,7 +43,6 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
     name: numbers, and arrays [..., n] or of integers."""
     on = int(setting.self_contact)
     W, thickness = len(setting.materials), setting.body.thickness
-    pairs = (W * on, PAIRS * n)
     return {
         "contact": on,
         "contact_distance": thickness,
@@ -53,10 +52,8 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
         "push": np.zeros((W * on, 10, n)),
         # where nothing is near: the first step lists pairs
         "listed": np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)),
-        "boxes": np.zeros((W * on, 10, n)),
-        **{name: np.zeros((*pairs, 2), np.int32) for name in ("near", "close")},
-        "touching": np.zeros(pairs, np.int32),
-        **{f"{name}_count": np.zeros((W * on, 2), np.int32) for name in ("near", "close")},
+        "boxes": np.zeros((W * on, 13, n)),
+        "pair_counts": np.zeros((W * on, 3, 2), np.int32),
     }
 
 

@@ -286,7 +286,7 @@ class ThinEngine(Engine):
         """Why world w stopped in piece s of a run on the device."""
         error, model = self.setting.error, self.device_model
         begins, done, dt = (of.numpy()[w, s] for of in (run.begins, run.done, run.dt))
-        if self.setting.self_contact and model.near_count.numpy()[w].sum() > model.near.shape[1]:
+        if (model.pair_counts.numpy()[w : w + 1, 0].sum(axis=1) > model.near.shape[1]).any():
             return error(
                 w, float(begins + done * dt), f"more than {PAIRS} pairs a point are about to meet",
                 where="contact of the body with itself", fix="fewer points, or a thinner body",
@@ -420,15 +420,15 @@ class ThinEngine(Engine):
         )
 
     def _room(self) -> tuple[int, int]:
-        """Numbers of a shell's scratch that CUDA keeps in shared memory, 0 if there is no room, and
-        how many blocks with so many a multiprocessor takes."""
+        """Length of rows that CUDA keeps in shared memory for a shell, 0 if there is no room, and
+        how many blocks with such rows a multiprocessor takes."""
         device, m = self.setting.device, self.model
         if m.kind == "rod" or not device.is_cuda:
             return 0, 0
-        room = -(-m.scratch_rows * m.row_length // 2048) * 2048  # for few different kernels
+        room = (m.scratch_rows + 1) * m.row_length
         taken = room * np.dtype(self.setting.dtype).itemsize + OTHER_SHARED
         blocks = min(device.max_shared_memory_per_block // taken, 2)
-        return room * min(blocks, 1), blocks
+        return m.row_length * min(blocks, 1), blocks
 
     def _device_model(self) -> Any:
         s, W, n, m = self.setting, self.num_worlds, self.num_points, self.model
@@ -451,6 +451,10 @@ class ThinEngine(Engine):
             friction=spread(friction, (W,), "friction"), **of_points,
         )  # fmt: skip
         made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
+        pairs = W * made.contact, PAIRS * n, 2
+        empty: Any = wp.empty  # only what counts tell of is ever read
+        for name in ("near", "close", "touching"):
+            setattr(made, name, empty(pairs, dtype=wp.int32, device=s.device))
         room = 28 + 7 * self.closed.shape[1] + 36 * (n + 2) + 10 * (self.holds[0].size + 1)
         # aligned; the last group takes no less than others
         made.interleaved = self.zeros((W + LANES, room) if self.interleaved else (0, 0))

@@ -24,7 +24,7 @@ from gendom.sim.native import functions_of
 from gendom.sim.paths import make_path_type, make_paths
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH
-from gendom.sim.thin.native import MODULE_OPTIONS, make_native
+from gendom.sim.thin.native import MODULE_OPTIONS, make_native, options_in_shared
 from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.types import make_types
 
@@ -37,17 +37,18 @@ POSES = 64
 
 @functools.cache
 def make_kernels(
-    real: Any, kind: str, held: int = 0, room: int = 0, blocks: int = 0
+    real: Any, kind: str, held: int = 0, row_length: int = 0, blocks: int = 0
 ) -> SimpleNamespace:
     """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``; with
     ``held`` points of rods without contact with themselves in the registers of each thread, or
-    ``room`` in shared memory for numbers of a shell's scratch, with so many blocks on a
-    multiprocessor."""
+    what shells need in a step in shared memory, in rows of ``row_length``, with so many blocks on
+    a multiprocessor."""
     types, native, paths_of = make_types(real), make_native(real, kind, held), make_paths(real)
     Registers = native.Registers
     ThinModel, ModelAdjoint, ThinRun = types.ThinModel, types.ModelAdjoint, types.ThinRun
     vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
-    IN_SHARED_MEMORY, numbers = wp.constant(room > 0), wp.constant(room)
+    IN_SHARED_MEMORY = wp.constant(row_length > 0)
+    numbers = wp.constant(row_length * (ShellModel.scratch_rows + 1))
     limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
 
     @wp.func
@@ -247,7 +248,9 @@ def make_kernels(
     steps = steps_in_registers if held else steps_in_rows
     # so many ropes on a multiprocessor: more have to keep too much in memory
     bounds = (32, 12 if real == wp.float64 else 16) if held == 1 else None
-    if room:
+    advance_options = MODULE_OPTIONS
+    if row_length:
+        advance_options = options_in_shared(real, row_length)
         bounds = (ShellModel.threads_on_cuda, blocks)
 
     @wp.func
@@ -269,7 +272,7 @@ def make_kernels(
                     run.state[row, 0, i], run.state[row, 1, i], run.state[row, 2, i]
                 )
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds)
+    @wp.kernel(module="unique", module_options=advance_options, launch_bounds=bounds)
     def advance(first: int, threads: int, model: ThinModel, paths: Paths, run: ThinRun):
         """Take the next pieces of a run, until a world exceeds a limit: ``limit`` of the squared
         stretch of an edge, or ``mean_limit`` of the mean, every CHECKED steps and where pieces
@@ -280,7 +283,7 @@ def make_kernels(
         row = w - run.offset
         if IN_SHARED_MEMORY:
             wp.tile_empty(shape=numbers, dtype=real, storage="shared")
-            native.move_to_shared(model, w)
+            native.begin_shared(model, w)
         if run.span.shape[0] > 0:
             if thread == 0:
                 divide(run, w)
@@ -307,8 +310,9 @@ def make_kernels(
                     if not native.mean_stretch(model, state, row + k * run.stride) <= mean_limit:
                         bad = 1
                     bad = native.block_any(bad)
-                if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
-                    if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
+                if model.contact == 1:
+                    listed = model.pair_counts[w, 0, 0] + model.pair_counts[w, 0, 1]
+                    if listed > model.near.shape[1]:
                         bad = 1
                 if bad != 0:
                     stop(run, w, p, k - 1)

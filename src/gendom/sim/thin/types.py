@@ -115,7 +115,6 @@ def make_types(real: Any) -> SimpleNamespace:
         stiffness: wp.array3d(dtype=real)  # [W, ., P]
         inertia: wp.array3d(dtype=real)  # [W, ., P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
-        in_shared: int  # whether that and the boxes are in shared memory
         interleaved: wp.array2d(dtype=real)  # [W, .], see ``native/interleaved.h``
         damping: wp.array(dtype=real)  # [W] [s]
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
@@ -137,13 +136,11 @@ def make_types(real: Any) -> SimpleNamespace:
         loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of free points, 0 for held ones [1/kg]
         push: wp.array3d(dtype=real)  # [W, 10, P] of one step's contacts, see ``native/contact.h``
         listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
-        boxes: wp.array3d(dtype=real)  # [W, 10, P] around features then [m], and more
+        boxes: wp.array3d(dtype=real)  # [W, 13, P] around features then [m], and more
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
-        near_count: wp.array2d(dtype=wp.int32)  # [W, 2] from the front and from the back
-        # those of them that a step's turns go over
-        close: wp.array3d(dtype=wp.int32)  # [W, M, 2]
-        close_count: wp.array2d(dtype=wp.int32)  # [W, 2]
-        touching: wp.array2d(dtype=wp.int32)  # [W, M] whether those do
+        close: wp.array3d(dtype=wp.int32)  # [W, M, 2] that a step's turns go over
+        touching: wp.array3d(dtype=wp.int32)  # [W, M, 2] that a turn pushes apart
+        pair_counts: wp.array3d(dtype=wp.int32)  # [W, 3, 2] from the front and from the back
 
     @wp.struct
     class ModelAdjoint:

@@ -20,6 +20,18 @@ MODULE_OPTIONS = module_options(
 """Options of every Warp module of the engine."""
 
 
+def options_in_shared(real: Any, row_length: int) -> dict[str, Any]:
+    """Those of a kernel whose blocks keep in shared memory what lives no longer than a step, in
+    rows of so many numbers."""
+    texts = MODULE_OPTIONS["extra_build_options"]
+    built = wp.ModuleBuildOptions(
+        extra_cpu_preamble=texts.extra_cpu_preamble,
+        extra_cuda_preamble=f"#define ROW_LENGTH {row_length}\n{texts.extra_cuda_preamble}",
+    )
+    fast = real == wp.float32  # divisions and roots to two units in the last place, a third faster
+    return MODULE_OPTIONS | {"extra_build_options": built, "fast_math": fast}
+
+
 @functools.cache
 def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
     """Declare the native functions of steps for one scalar type and one kind of body, ``rod`` or
@@ -68,8 +80,8 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
     @wp.func_native(f"gendom::hold(model, w, g, gendom::pose_of<{number}>(index), state, next);")
     def hold_ahead(model: ThinModel, w: int, g: int, index: int, state: rows, next: int): ...
 
-    @wp.func_native("gendom::move_to_shared(model, w);")
-    def move_to_shared(model: wp.ref[ThinModel], w: int): ...
+    @wp.func_native("gendom::begin_shared(model, w);")
+    def begin_shared(model: ThinModel, w: int): ...
 
     @wp.func_native("gendom::hold_adjoint(model, adjoint, w, g, turned);")
     def hold_adjoint(model: ThinModel, adjoint: ModelAdjoint, w: int, g: int, turned: quat): ...
@@ -129,7 +141,7 @@ def make_native(real: Any, kind: str, held: int) -> SimpleNamespace:
 
     lists = held == 0
 
-    @wp.func_native(lists * "gendom::rebuild_lists(model, w, state, row, c, far);" + ";")
+    @wp.func_native(lists * f"gendom::rebuild_lists(model, w, {of_row}.from(c), far);" + ";")
     def rebuild_lists(model: ThinModel, w: int, state: rows, row: int, c: int, far: real): ...
 
     @wp.func_native(lists * "gendom::keep_list(model, w, state, row, c);" + ";")

@@ -15,6 +15,12 @@ namespace gendom {
 constexpr int needed_turns = 4;
 constexpr double enough_distance = 0.9;
 
+#if defined(IN_SHARED)
+template <typename real> constexpr bool IS_WHOLE = sizeof(real) == 4;
+#else
+template <typename real> constexpr bool IS_WHOLE = false;
+#endif
+
 template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, real a) {
 #if defined(__CUDA_ARCH__)
     const auto to = __cvta_generic_to_global(rows.first + c * rows.pitch + i);  // no question where it is
@@ -24,8 +30,29 @@ template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& r
     rows.first[c * rows.pitch + i] += a;
 #endif
 }
-template <typename real>
-CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const vec<real>& a) {
+// What a turn adds to points: rows 0 to 2 velocities, 3 to 5 places, 6 the number of contacts among which its mass is
+// divided. In shared memory, in float32, these are whole numbers of small units: many threads add to them much faster.
+template <typename real> struct pushes : components<pushes<real>> {
+    const rows_of<real> rows;
+    const real unit, per_step;  // of places, and of velocities over that
+
+    template <typename Model>
+    CUDA_CALLABLE inline pushes(const Model& model, int w, real dt)
+        : rows(IS_WHOLE<real> ? shared_or(SHARED_PUSH, model.push, w) : rows_of<real>(model.push, w)),
+          unit(model.contact_distance / real(1 << 24)), per_step(real(1) / dt) {}
+    CUDA_CALLABLE inline real unit_of(int c) const { return c == 6 ? real(1) : c < 3 ? unit * per_step : unit; }
+    template <typename T> CUDA_CALLABLE inline T get(int c, int i) const {
+        if constexpr (IS_WHOLE<real>) return unit_of(c) * T(__float_as_int(rows.at(c, i)));
+        else return rows.template get<T>(c, i);
+    }
+    template <typename T> CUDA_CALLABLE inline void put(int c, int i, const T& a) const { rows.put(c, i, a); }
+};
+template <typename real> CUDA_CALLABLE inline void add_to(const pushes<real>& push, int c, int i, real a) {
+    if constexpr (IS_WHOLE<real>) atomicAdd((int*)&push.rows.at(c, i), __float2int_rn(a / push.unit_of(c)));
+    else add_to(push.rows, c, i, a);
+}
+template <typename Rows, typename real>
+CUDA_CALLABLE inline void add_to(const Rows& rows, int c, int i, const vec<real>& a) {
     add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
 }
 
@@ -44,40 +71,38 @@ template <typename real> struct contact {
     }
 };
 
+// Those of the close pairs that touch, in shared memory if there is room.
+template <typename Model> CUDA_CALLABLE inline pairs_of touching_pairs(const Model& model, int w, int close) {
+    const pairs_of touching = pairs_in(model, w, TOUCHING);
+#if defined(IN_SHARED)
+    const auto free = shared_or(SHARED_TOUCHING, model.push, w);
+    const int room = (SHARED_LOOSE - SHARED_TOUCHING) * ROW_LENGTH * sizeof(*free.first) / (2 * sizeof(int));
+    if (close <= room) return {(int*)(free.first - margin), touching.counts, room};
+#endif
+    return touching;
+}
+
 // The close pairs of a world in one state.
 template <typename Model, typename real> struct contacts {
     const Model& model;
     const int w;
-    const pairs_of close;
-    const rows_of<real> s, push, loose;
+    const pairs_of close, touching;
+    const rows_of<real> s, loose;
+    const pushes<real> push;
     const real dt, per_dt, mu;
     // Points that take the mean of many pushes go less far than each asks for. Where the first turns do not suffice,
     // over-relaxation takes fewer further ones. From 2 on it may diverge.
     const real over;
 
-    CUDA_CALLABLE inline contacts(const Model& model, int w, const wp::array_t<real>& state, int row,
-                                  real dt, int turn)
-        : model(model), w(w), close(close_pairs(model, w)), s(state, row), push(model.push, w),
-          loose(model.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)),
-          over(turn < needed_turns ? real(1) : real(1.8)) {}
+    CUDA_CALLABLE inline contacts(const Model& model, int w, const rows_of<real>& s, real dt, int turn)
+        : model(model), w(w), close(pairs_in(model, w, CLOSE)), touching(touching_pairs(model, w, close.number())),
+          s(s), loose(shared_or(SHARED_LOOSE, model.loose, w)), push(model, w, dt), dt(dt), per_dt(real(1) / dt),
+          mu(wp::index(model.self_friction, w)), over(turn < needed_turns ? real(1) : real(1.8)) {}
 
-    CUDA_CALLABLE inline meeting<real> pair(int k) const {
-        int one, other;
-        close.read(k, one, other);
-        return feature_pair(one, other, model.pitch).meet(s);
-    }
-    CUDA_CALLABLE inline bool has_point(int k) const {
-        int one, other;
-        close.read(k, one, other);
-        return one % 4 == 3;
-    }
-    // The number of contacts among which the mass of point p is divided.
-    CUDA_CALLABLE inline real split(int p) const {
-        return push.template get<real>(6, p);
-    }
-    // Whether pair k is pushed apart, and how.
-    CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
-        c.places = pair(k);
+    CUDA_CALLABLE inline real split(int p) const { return push.template get<real>(6, p); }
+    // Whether a pair is pushed apart, and how.
+    CUDA_CALLABLE inline bool find(int one, int other, contact<real>& c) const {
+        c.places = feature_pair(one, other, model.pitch).meet(s);
         const meeting<real>& m = c.places;
         c.depth = model.contact_distance - m.distance;
         if (c.depth <= real(0) || m.distance < real(1e-12)) return false;
@@ -100,35 +125,35 @@ template <typename Model, typename real> struct contacts {
     }
 };
 
-// Counts the pairs that touch, of every point that shares in them; tells whether one of this thread's does.
+// Lists the pairs that touch, and counts them for every point that shares in them.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int count_contacts(const Model& model, int w, const wp::array_t<real>& state, int row) {
-    const contacts<Model, real> all(model, w, state, row, real(1), 0);
-    int some = 0;
+CUDA_CALLABLE inline void list_touching(const contacts<Model, real>& all) {
+    all.touching.clear();
+    block_sync();
+    int one, other;
     for (EACH_ONE_IN(k, 0, all.close.number())) {
-        const meeting<real> m = all.pair(k);
-        const int touches = wp::index(model.touching, w, k) = m.distance < model.contact_distance;
-        if (!touches) continue;
-        some = 1;
+        all.close.read(k, one, other);
+        const meeting<real> m = feature_pair(one, other, all.model.pitch).meet(all.s);
+        if (m.distance >= all.model.contact_distance) continue;
+        all.touching.append(one, other);
         for (int i = 0; i < 4; ++i)
             if (m.share[i] != real(0)) add_to(all.push, 6, m.point[i], real(1));
     }
-    return some;
+    block_sync();
 }
 
 // One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
 // that asks for another turn.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::array_t<real>& state, int row,
-                                    real dt, int turn) {
-    const contacts<Model, real> all(model, w, state, row, dt, turn);
-    const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * model.contact_distance;
+CUDA_CALLABLE inline int contact_impulses(const contacts<Model, real>& all, int turn) {
+    const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * all.model.contact_distance;
     contact<real> c;
-    int again = 0;
-    for (EACH_ONE_IN(k, 0, all.close.number())) {
-        if (!wp::index(model.touching, w, k) || !all.find(k, c)) continue;
+    int again = 0, one, other;
+    for (EACH_ONE_IN(k, 0, all.touching.number())) {
+        all.touching.read(k, one, other);
+        if (!all.find(one, other, c)) continue;
         if (c.places.distance < enough) again = 1;
-        const vec<real> impulse = c.impulse(), shift = c.shift(dt);
+        const vec<real> impulse = c.impulse(), shift = c.shift(all.dt);
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
@@ -139,8 +164,8 @@ CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::a
 }
 
 // Velocity and position of a point take the impulses of a turn, which are then 0 again.
-template <typename T, typename Rows> CUDA_CALLABLE inline void take_impulses_at(int p, const Rows& s, const Rows& push) {
-    typedef typename number_of<T>::type real;
+template <typename T, typename real>
+CUDA_CALLABLE inline void take_impulses_at(int p, const rows_of<real>& s, const pushes<real>& push) {
     s.add3(3, p, push.template get3<T>(0, p));
     s.add3(0, p, push.template get3<T>(3, p));
     for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
@@ -148,34 +173,34 @@ template <typename T, typename Rows> CUDA_CALLABLE inline void take_impulses_at(
 template <typename Model, typename real>
 CUDA_CALLABLE inline void take_impulses(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), push(model.push, w);
+    const rows_of<real> s(state, row);
+    const pushes<real> push(model, w, real(1));
     for (EACH_IN(p, model.first, model.end)) take_impulses_at<T>(p, s, push);
 }
 
 // What a turn pushed into the table or an obstacle goes back to its surface; left there, it would be thrown out by
 // the next step's velocities. Places before that are kept for the transpose.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<real>& state, int row) {
+template <typename Model, typename real> CUDA_CALLABLE inline void end_turn(const contacts<Model, real>& all) {
     typedef typename several<real>::lanes T;
-    const surroundings<T> around(model, w, real(1));
-    const rows_of<real> s(state, row), loose(model.loose, w), push(model.push, w);
-    for (EACH_IN(p, model.first, model.end)) {
-        if (largest_of(push.template get<T>(6, p)) == real(0)) continue;
-        take_impulses_at<T>(p, s, push);
-        const vec<T> x = s.template get3<T>(0, p);
-        push.put3(7, p, x);
-        const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
-        s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);
+    const surroundings<T> around(all.model, all.w, real(1));
+    for (EACH_IN(p, all.model.first, all.model.end)) {
+        if (largest_of(all.push.template get<T>(6, p)) == real(0)) continue;
+        take_impulses_at<T>(p, all.s, all.push);
+        const vec<T> x = all.s.template get3<T>(0, p);
+        all.push.put3(7, p, x);
+        const T moves = is_above(all.loose.template get<T>(0, p), T(real(0)));
+        all.s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);
     }
 }
 
 // One turn, unless nothing touches; tells whether another one is needed.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int turn_once(const Model& model, int w, const wp::array_t<real>& state, int row, real dt,
-                                   int turn) {
-    if (!block_any(count_contacts(model, w, state, row))) return 0;
-    const int again = block_any(contact_impulses(model, w, state, row, dt, turn));
-    end_turn(model, w, state, row);
+CUDA_CALLABLE inline int turn_once(const Model& model, int w, const rows_of<real>& s, real dt, int turn) {
+    const contacts<Model, real> all(model, w, s, dt, turn);
+    list_touching(all);
+    if (all.touching.number() == 0) return 0;
+    const int again = block_any(contact_impulses(all, turn));
+    end_turn(all);
     block_sync();
     return again;
 }
@@ -183,19 +208,28 @@ CUDA_CALLABLE inline int turn_once(const Model& model, int w, const wp::array_t<
 // Applies contact of the body with itself at the end of a step.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void resolve(const Model& model, int w, const wp::array_t<real>& state, int row, real dt) {
-    rebuild_lists(model, w, state, row, 0, real(0.5) * model.contact_margin);
-    if (near_pairs(model, w).number() == 0) return;
-    wp::array_t<real> of = state;  // with positions and velocities
-    if (model.in_shared) of = model.scratch;
-    const int own = model.in_shared ? w : row;
-    const rows_of<real> s(state, row), there(of, own);
-    if (model.in_shared) copy_rows(model, 6, s, 0, there, 0);
-    list_close(model, w, of, own);
+    const rows_of<real> s(state, row);
+#if defined(IN_SHARED)
+    const rows_of<real> there = shared_or(SHARED_STATE, state, w);
+    copy_rows(model, 6, s, 0, there, 0);
+    block_sync();
+#else
+    const rows_of<real>& there = s;
+#endif
+    rebuild_lists(model, w, there, real(0.5) * model.contact_margin);
+    if (pairs_in(model, w, NEAR).number() == 0) return;
+    list_close(model, w, there);
+    if (pairs_in(model, w, CLOSE).number() == 0) return;
+#if defined(IN_SHARED)
+    for (EACH_IN(p, model.first, model.end))
+        for (int c = 0; c < 7; ++c) shared_or(SHARED_PUSH, model.push, w).put(c, p, real(0));
+#endif
     for (int turn = 0; turn < model.contact_most_turns; ++turn)
-        if (!turn_once(model, w, of, own, dt, turn)) break;
-    if (!model.in_shared) return;
+        if (!turn_once(model, w, there, dt, turn)) break;
+#if defined(IN_SHARED)
     copy_rows(model, 6, there, 0, s, 0);
     block_sync();
+#endif
 }
 
 // ---- transposes ----------------------------------------------------------------------------------
@@ -304,7 +338,7 @@ template <typename real> struct contact_bar {
 // Of one push. What it adds to derivatives by positions and velocities adds up in `push`, from where `take_impulses`
 // takes it.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, const contact<real>& c,
+CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, bool has_point, const contact<real>& c,
                                        const rows_of<real>& b, const rows_of<real>& by) {
     const meeting<real>& m = c.places;
     const vec<real> impulse = c.impulse(), shift = c.shift(all.dt), none = {real(0), real(0), real(0)};
@@ -331,7 +365,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
         return loose[i] * (moved[i] + real(2) * by_per_mass[i]) + dot(bar.away, x[i]) +
                dot(bar.v, all.s.template get3<real>(3, m.point[i]));
     };
-    const sliding_along along = slides_of(all.s, m, all.has_point(k));
+    const sliding_along along = slides_of(all.s, m, has_point);
     vec<real> e[2] = {none, none};
     real ends[2] = {real(0), real(0)}, t[2];
     for (int a = 0; a < along.count; ++a) {
@@ -354,13 +388,13 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
 
 // Of one turn.
 template <typename Model, typename Adjoint, typename real>
-CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adjoint& adjoint, int w,
-                                             const wp::array_t<real>& state, int row, real dt, int turn) {
-    const rows_of<real> b(adjoint.state, w), by(adjoint.model, w);
+CUDA_CALLABLE inline void contact_impulses_adjoint(const contacts<Model, real>& all, const Adjoint& adjoint) {
+    const rows_of<real> b(adjoint.state, all.w), by(adjoint.model, all.w);
     contact<real> c;
-    const contacts<Model, real> all(model, w, state, row, dt, turn);
-    for (EACH_ONE_IN(k, 0, all.close.number())) {
-        if (wp::index(model.touching, w, k) && all.find(k, c)) push_adjoint(all, k, c, b, by);
+    int one, other;
+    for (EACH_ONE_IN(k, 0, all.touching.number())) {
+        all.touching.read(k, one, other);
+        if (all.find(one, other, c)) push_adjoint(all, one % 4 == 3, c, b, by);
     }
 }
 
@@ -370,15 +404,15 @@ template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                           const wp::array_t<real>& kept, int at,
                                           const wp::array_t<real>& state, int row, int c, real dt) {
-    rebuild_lists(model, w, state, row, c, real(0));
-    if (near_pairs(model, w).number() == 0) return;
-    list_close(model, w, state, row);
     const rows_of<real> s(state, row), before(kept, at), push(model.push, w);
+    rebuild_lists(model, w, s.from(c), real(0));
+    if (pairs_in(model, w, NEAR).number() == 0) return;
+    list_close(model, w, s);
     int turns = 0;
     for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
         copy_rows(model, 6, s, 0, before, 9 * turns);
         copy_rows(model, 3, s, 0, push, 7);
-        again = turn_once(model, w, state, row, dt, turns);
+        again = turn_once(model, w, s, dt, turns);
         copy_rows(model, 3, push, 7, before, 9 * turns + 6);
     }
     while (turns-- > 0) {
@@ -386,9 +420,9 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
         block_sync();
         copy_rows(model, 6, before, 9 * turns, s, 0);
         block_sync();
-        count_contacts(model, w, state, row);
-        block_sync();
-        contact_impulses_adjoint(model, adjoint, w, state, row, dt, turns);
+        const contacts<Model, real> all(model, w, s, dt, turns);
+        list_touching(all);
+        contact_impulses_adjoint(all, adjoint);
         block_sync();
         take_impulses(model, w, adjoint.state, w);
         block_sync();

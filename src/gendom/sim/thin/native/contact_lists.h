@@ -114,17 +114,41 @@ CUDA_CALLABLE inline box<real> box_of(const rows_of<real>& s, const feature& f) 
     return b;
 }
 
-// On CUDA a model whose scratch, and what else lives no longer than a step, is in shared memory, where it is 0.
-template <typename Model> CUDA_CALLABLE inline void move_to_shared(Model& model, int w) {
-#if defined(__CUDA_ARCH__)
-    typedef decltype(Model::radius) real;
+// CUDA kernels that know the length of rows have in shared memory what lives no longer than a step: the scratch, and,
+// when that is not needed, places and velocities, what contacts add to them, and boxes; and what is `loose`.
+enum {
+    SHARED_SCRATCH = 0, SHARED_STATE = 0, SHARED_PUSH = 6, SHARED_BOXES = 6, SHARED_TOUCHING = 18, SHARED_LOOSE = 21,
+    SHARED_ROWS = 22
+};
+#if defined(__CUDA_ARCH__) && defined(ROW_LENGTH)
+#define IN_SHARED
+#endif
+template <typename real>
+CUDA_CALLABLE inline rows_of<real> shared_or(int row, const wp::array_t<real>& array, int w) {
+#if defined(IN_SHARED)
     extern __shared__ __align__(16) unsigned char gendom_shared[];
-    real* const to = (real*)gendom_shared;
-    const int numbers = model.scratch.strides[0] / sizeof(real);
-    for (int i = threadIdx.x; i < numbers; i += blockDim.x) to[i] = real(0);
-    model.scratch.data = to - w * numbers;
-    model.boxes.data = to - w * (model.boxes.strides[0] / sizeof(real));
-    model.in_shared = 1;
+    return {(real*)gendom_shared + row * ROW_LENGTH + margin, ROW_LENGTH};
+#else
+    return {array, w};
+#endif
+}
+
+// Copies rows of numbers from c on to those from d on.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of<real>& from, int c,
+                                    const rows_of<real>& to, int d) {
+    typedef typename several<real>::lanes T;
+    for (EACH_IN(p, model.first, model.end))
+        for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
+}
+
+template <typename Model> CUDA_CALLABLE inline void begin_shared(const Model& model, int w) {
+#if defined(IN_SHARED)
+    typedef decltype(Model::radius) real;
+    const rows_of<real> all = shared_or(0, model.scratch, w), loose = shared_or(SHARED_LOOSE, model.loose, w);
+    for (int i = threadIdx.x; i < SHARED_ROWS * ROW_LENGTH; i += blockDim.x) all.first[i - margin] = real(0);
+    block_sync();
+    if (model.contact) copy_rows(model, 1, {model.loose, w}, 0, loose, 0);
     block_sync();
 #endif
 }
@@ -141,18 +165,13 @@ CUDA_CALLABLE inline int count_on(int& count) {
 // The pairs of a world's list. On CUDA points against triangles are listed from the back of the array, so
 // that neighbouring threads do alike. Two counts say how many are listed from either end.
 struct pairs_of {
-    const wp::array_t<int>&pairs, &counts;
-    const int w, room;
+    int *const pairs, *const counts;
+    const int room;
 
-    CUDA_CALLABLE inline pairs_of(const wp::array_t<int>& pairs, const wp::array_t<int>& counts, int w)
-        : pairs(pairs), counts(counts), w(w), room(pairs.shape[1]) {}
-
-    CUDA_CALLABLE inline int number() const {
-        return wp::min(wp::index(counts, w, 0) + wp::index(counts, w, 1), room);
-    }
+    CUDA_CALLABLE inline int number() const { return wp::min(counts[0] + counts[1], room); }
     CUDA_CALLABLE inline void read(int k, int& one, int& other) const {
-        const int front = wp::index(counts, w, 0), at = k < front ? k : room - 1 - (k - front);
-        one = wp::index(pairs, w, at, 0), other = wp::index(pairs, w, at, 1);
+        const int at = k < counts[0] ? k : room - 1 - (k - counts[0]);
+        one = pairs[2 * at], other = pairs[2 * at + 1];
     }
     // A full list only counts on.
     CUDA_CALLABLE inline void append(int one, int other) const {
@@ -161,20 +180,24 @@ struct pairs_of {
 #else
         const int end = 0;
 #endif
-        const int k = count_on(wp::index(counts, w, end));
+        const int k = count_on(counts[end]);
         if (k >= room) return;
         const int at = end == 0 ? k : room - 1 - k;
-        wp::index(pairs, w, at, 0) = one, wp::index(pairs, w, at, 1) = other;
+        pairs[2 * at] = one, pairs[2 * at + 1] = other;
     }
-    CUDA_CALLABLE inline void clear() const {
-        wp::index(counts, w, 0) = 0, wp::index(counts, w, 1) = 0;
-    }
+    CUDA_CALLABLE inline void clear() const { counts[0] = 0, counts[1] = 0; }
 };
-template <typename Model> CUDA_CALLABLE inline pairs_of near_pairs(const Model& model, int w) {
-    return pairs_of(model.near, model.near_count, w);
-}
-template <typename Model> CUDA_CALLABLE inline pairs_of close_pairs(const Model& model, int w) {
-    return pairs_of(model.close, model.close_count, w);
+
+// On CUDA counts are in shared memory, the near ones from `rebuild_lists` on.
+enum { NEAR = 0, CLOSE = 1, TOUCHING = 2 };
+template <typename Model> CUDA_CALLABLE inline pairs_of pairs_in(const Model& model, int w, int list) {
+    const wp::array_t<int>& pairs = list == NEAR ? model.near : list == CLOSE ? model.close : model.touching;
+#if defined(__CUDA_ARCH__)
+    __shared__ int counts[3][2];
+    return {&wp::index(pairs, w, 0, 0), counts[list], int(pairs.shape[1])};
+#else
+    return {&wp::index(pairs, w, 0, 0), &wp::index(model.pair_counts, w, list, 0), int(pairs.shape[1])};
+#endif
 }
 
 template <typename Model, typename real>
@@ -186,39 +209,31 @@ CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<rea
         for (int b = own; b < 4; ++b)
             if (i[a] == i[b]) return;
     if (m.distance >= model.contact_distance + model.contact_margin) return;
-    near_pairs(model, w).append(one, other);
+    pairs_in(model, w, NEAR).append(one, other);
 }
 
-// Copies rows of numbers from c on to those from d on.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of<real>& from, int c,
-                                    const rows_of<real>& to, int d) {
-    typedef typename several<real>::lanes T;
-    for (EACH_IN(p, model.first, model.end))
-        for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
-}
 
-// Whether a point of rows c to c + 2 is farther than this from where it was when pairs were listed. What the
-// middle of the body has moved by, all have in common, and no pair comes nearer by it.
+// Whether a point is farther than this from where it was when pairs were listed. What the middle of the body has
+// moved by, all have in common, and no pair comes nearer by it.
 template <typename Model, typename real>
-CUDA_CALLABLE inline int moved_on(const Model& model, int w, const wp::array_t<real>& state, int row, int c,
-                                  real far) {
+CUDA_CALLABLE inline int moved_on(const Model& model, int w, const rows_of<real>& s, real far) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), then(model.listed, w), m(model.inertia, w);
+    const rows_of<real> then(model.listed, w), m(model.inertia, w);
     const int middle = wp::index(model.slot, model.points / 2) - margin;
-    vec<real> common = s.template get3<real>(c, middle) - then.template get3<real>(0, middle);
+    vec<real> common = s.template get3<real>(0, middle) - then.template get3<real>(0, middle);
     if (far <= real(0)) common = {real(0), real(0), real(0)};
     const vec<T> shift = {T(common.x), T(common.y), T(common.z)};
     T most = T(real(0));
     for (EACH_IN(p, model.first, model.end)) {
-        const vec<T> d = s.template get3<T>(c, p) - then.template get3<T>(0, p) - shift;
+        const vec<T> d = s.template get3<T>(0, p) - then.template get3<T>(0, p) - shift;
         most = larger(most, dot(d, d) * is_above(m.template get<T>(0, p), T(real(0))));
     }
     return largest_of(most) <= far * far ? 0 : 1;
 }
 
-// Rows of boxes: the lowest and highest corners, whether a shell is folded at a point, and where that is.
-enum { FOLDED = 6, PLACE = 7 };
+// Rows of boxes: the lowest and highest corners, bits for what begins at a point of a shell (as `rest`) and whether it
+// is folded there; and on CUDA the corners of the boxes of 32 neighbours.
+enum { BITS = 6, FOLDED = 3, TILES = 7 };
 
 template <typename real> CUDA_CALLABLE inline box<real> box_at(const rows_of<real>& boxes, int i) {
     return {boxes.template get3<real>(0, i), boxes.template get3<real>(3, i)};
@@ -226,14 +241,14 @@ template <typename real> CUDA_CALLABLE inline box<real> box_at(const rows_of<rea
 
 // Whether a point of a shell is much nearer than at rest to one that is at most three columns and rows away.
 template <typename Model, typename real>
-CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, const rows_of<real>& m, int c, int p) {
-    const vec<real> x = s.template get3<real>(c, p);
+CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, const rows_of<real>& m, int p) {
+    const vec<real> x = s.template get3<real>(0, p);
     bool folded = false;
     for (int rows = -3; rows <= 3; ++rows) {
         const int q = p + rows * model.pitch;
         if (q < model.first || q >= model.end) continue;
         for (int columns = -3; columns <= 3; ++columns) {
-            const vec<real> d = s.template get3<real>(c, q + columns) - x;
+            const vec<real> d = s.template get3<real>(0, q + columns) - x;
             const real along = real(columns) / model.per_x, across = real(rows) / model.per_y;
             folded |= (dot(d, d) < real(0.64) * (along * along + across * across)) &
                       (m.template get<real>(0, q + columns) > real(0));
@@ -242,39 +257,40 @@ CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, 
     return folded;
 }
 
-// Begins a list of points in rows c to c + 2, with the box of each one's features, which of a shell lie in the
-// cell that it is the first of; the threads meet before `list_pairs`.
+// Begins a list, with the box of each point's features, which of a shell lie in the cell that it is the first of.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void begin_list(const Model& model, int w, const wp::array_t<real>& state, int row,
-                                     int c) {
-    const rows_of<real> s(state, row), then(model.listed, w), rest(model.rest, 0), m(model.inertia, w),
-        boxes(model.boxes, w);
-    copy_rows(model, 3, s, c, then, 0), copy_rows(model, 3, s, c, boxes, PLACE);
+CUDA_CALLABLE inline void begin_list(const Model& model, int w, const rows_of<real>& s) {
+    const rows_of<real> rest(model.rest, 0), m(model.inertia, w), boxes = shared_or(SHARED_BOXES, model.boxes, w);
+    copy_rows(model, 3, s, 0, {model.listed, w}, 0);
     const int pitch = model.pitch;
     for (EACH_ONE_IN(p, model.first, model.end)) {
         const auto has = [&](int kind) { return pitch > 0 && rest.template get<real>(kind, p) > real(0); };
         const auto is_point = [&](int i) { return m.template get<real>(0, i) > real(0); };
         const real nowhere = real(1e15);
         box<real> b = {{nowhere, nowhere, nowhere}, {-nowhere, -nowhere, -nowhere}};
-        if (is_point(p)) b.include(s.template get3<real>(c, p));
+        if (is_point(p)) b.include(s.template get3<real>(0, p));
         if (pitch == 0 ? is_point(p) && is_point(p + 1) : has(0) || has(2))
-            b.include(s.template get3<real>(c, p + 1));
-        if (has(1) || has(2)) b.include(s.template get3<real>(c, p + pitch));
-        if (has(2)) b.include(s.template get3<real>(c, p + pitch + 1));
+            b.include(s.template get3<real>(0, p + 1));
+        if (has(1) || has(2)) b.include(s.template get3<real>(0, p + pitch));
+        if (has(2)) b.include(s.template get3<real>(0, p + pitch + 1));
         boxes.put3(0, p, b.low), boxes.put3(3, p, b.high);
-        if (pitch > 0) boxes.put(FOLDED, p, real(is_folded(model, s, m, c, p)));
+        const bool folded = pitch > 0 && is_folded(model, s, m, p);
+        boxes.put(BITS, p, real(has(0) + 2 * has(1) + 4 * has(2) + (folded << FOLDED)));
     }
-    near_pairs(model, w).clear();
+    pairs_in(model, w, NEAR).clear();
 }
 
 // Features of two points make so many pairs.
 enum { PAIRS_OF_EDGES = 9, PAIRS_OF_CELLS = 13 };
 
 // The k-th of them, in numbers of the list; tells whether it is there. Of a rod there is one.
+template <typename real> CUDA_CALLABLE inline bool has_bit(const rows_of<real>& boxes, int i, int bit) {
+    return int(boxes.template get<real>(BITS, i)) >> bit & 1;
+}
 template <typename Model, typename real>
-CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& rest, const rows_of<real>& inertia,
+CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& boxes, const rows_of<real>& inertia,
                                   int p, int q, int k, int& one, int& other) {
-    const auto has = [&](int i, int kind) { return rest.template get<real>(kind, i) > real(0); };
+    const auto has = [&](int i, int kind) { return has_bit(boxes, i, kind); };
     if (model.pitch == 0) {
         one = 4 * p, other = 4 * q;
         const auto is_point = [&](int i) { return inertia.template get<real>(0, i) > real(0); };
@@ -293,9 +309,8 @@ CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& rest,
 
 // Lists those of the listed pairs that may play a part in a step's contacts.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_t<real>& state, int row) {
-    const rows_of<real> s(state, row);
-    const pairs_of near = near_pairs(model, w), close = close_pairs(model, w);
+CUDA_CALLABLE inline void list_close(const Model& model, int w, const rows_of<real>& s) {
+    const pairs_of near = pairs_in(model, w, NEAR), close = pairs_in(model, w, CLOSE);
     const real far = real(1.25) * model.contact_distance;
     close.clear();
     block_sync();
@@ -312,107 +327,131 @@ template <typename Model>
 CUDA_CALLABLE inline bool is_neighbour(const Model& model, int p, int q, bool folded) {
     const int pitch = model.pitch;
     if (pitch == 0) return q - p < model.contact_apart;
-    if (folded || q - p > 2 * pitch + 2) return false;
-    const int columns = p % pitch - q % pitch, rows = p / pitch - q / pitch;
-    return columns <= 2 && columns >= -2 && rows >= -2;
+    if (folded) return false;
+    for (int rows = 0; rows <= 2; ++rows) {
+        const int columns = q - p - rows * pitch, column = p % pitch + columns;
+        if (columns <= 2 && columns >= -2 && column >= 0 && column < pitch) return true;
+    }
+    return false;
 }
 
 // Whether one of the corners of a point's cell is folded.
 template <typename Model, typename real>
 CUDA_CALLABLE inline bool cell_is_folded(const Model& model, const rows_of<real>& boxes, int p) {
-    const auto at = [&](int i) { return boxes.template get<real>(FOLDED, i); };
-    return model.pitch > 0 && at(p) + at(p + 1) + at(p + model.pitch) + at(p + model.pitch + 1) > real(0);
+    const auto at = [&](int i) { return has_bit(boxes, i, FOLDED); };
+    return model.pitch > 0 && (at(p) | at(p + 1) | at(p + model.pitch) | at(p + model.pitch + 1));
 }
 
 // A cell that is folded on its diagonal.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_folded_cells(const Model& model, int w, const rows_of<real>& s,
-                                            const rows_of<real>& rest) {
+                                            const rows_of<real>& boxes) {
     const real whole = real(1) / (model.per_x * model.per_x) + real(1) / (model.per_y * model.per_y);
     for (EACH_ONE_IN(p, model.first, model.end)) {
-        if (!(rest.template get<real>(2, p) > real(0))) continue;
+        if (!has_bit(boxes, p, 2)) continue;
         const vec<real> across =
             s.template get3<real>(0, p + model.pitch + 1) - s.template get3<real>(0, p);
         if (dot(across, across) < real(0.64) * whole) list_pair(model, w, s, 4 * p + 3, 4 * p + 1);
     }
 }
 
-// Pairs of features that may come within this distance of each other, by their boxes.
-template <typename real> struct may_meet {
-    const rows_of<real>& s;
-    const int pitch;
-    const real far2;
-
-    CUDA_CALLABLE inline bool operator()(int one, int other) const {
-        const feature_pair pair(one, other, pitch);
-        return gap_between(box_of(s, pair.first), box_of(s, pair.second)) < far2;
+// Lists the pairs of features of points p and q > p, by their boxes first.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_pairs_of(const Model& model, int w, const rows_of<real>& s, const rows_of<real>& boxes,
+                                        const rows_of<real>& m, int p, int q) {
+    const real far = model.contact_distance + model.contact_margin;
+    int one, other;
+    for (int k = 0; k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS); ++k) {
+        if (!pair_of(model, boxes, m, p, q, k, one, other)) continue;
+        const feature_pair pair(one, other, model.pitch);
+        if (gap_between(box_of(s, pair.first), box_of(s, pair.second)) < far * far) list_pair(model, w, s, one, other);
     }
-};
+}
 
 #if defined(__CUDA_ARCH__)
 
-// A warp takes a point. Its lanes compare that one's box with those of 32 others; each half of them then looks at
-// the pairs of features of one hit. What may meet waits until there are enough for all lanes.
-template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& model, int w) {
-    typedef decltype(Model::radius) real;
-    const rows_of<real> boxes(model.boxes, w), s(&boxes.at(PLACE, 0), boxes.pitch), rest(model.rest, 0),
-        m(model.inertia, w);
-    constexpr int lanes = 32, most_warps = 8, half = lanes / 2;
+// Slots of 32 neighbours, of a shell 8 columns and 4 rows: the first of them, and how much further the others are.
+struct tiles {
+    const int pitch, first, across, number;
+
+    template <typename Model> CUDA_CALLABLE inline explicit tiles(const Model& model)
+        : pitch(model.pitch), first(model.first), across(pitch / 8),
+          number(pitch == 0 ? (model.end - first + 31) / 32 : across * (((model.end - first) / pitch + 3) / 4)) {}
+    CUDA_CALLABLE inline int begin(int tile) const {
+        return first + (pitch == 0 ? 32 * tile : tile / across * 4 * pitch + tile % across * 8);
+    }
+    CUDA_CALLABLE inline int further(int l) const { return pitch == 0 ? l : l / 8 * pitch + l % 8; }
+};
+
+template <typename Model, typename real>
+CUDA_CALLABLE inline void bound_tiles(const Model& model, const rows_of<real>& boxes) {
+    const tiles all(model);
+    for (EACH_ONE(i, 6 * all.number)) {
+        const int tile = i / 6, c = i % 6, q = all.begin(tile);
+        real most = boxes.template get<real>(c, q);
+        for (int l = 1; l < 32 && q + all.further(l) < model.end; ++l) {
+            const real a = boxes.template get<real>(c, q + all.further(l));
+            most = c < 3 ? wp::min(most, a) : larger(most, a);
+        }
+        boxes.put(TILES + c, all.first + tile, most);
+    }
+}
+
+// A warp takes a point. Its lanes compare that one's box with those of tiles, and then of what is in them. Points that
+// may meet wait until there are enough for all lanes.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<real>& s) {
+    const rows_of<real> m(model.inertia, w), boxes = shared_or(SHARED_BOXES, model.boxes, w);
+    bound_tiles(model, boxes);
+    block_sync();
+    const tiles all_tiles(model);
+    constexpr int lanes = 32, most_warps = 8;
     constexpr unsigned all = 0xffffffffu;
     __shared__ int waiting[most_warps][2 * lanes][2];
     const int lane = threadIdx.x % lanes, warp = threadIdx.x / lanes, warps = blockDim.x / lanes;
     const real far = model.contact_distance + model.contact_margin;
-    const may_meet<real> may = {s, model.pitch, far * far};
     int count = 0;
-    for (int p = model.first + warp; p < model.end; p += warps) {
-        if (!(m.template get<real>(0, p) > real(0))) continue;
-        const box<real> b = box_at(boxes, p);
-        const bool folded = cell_is_folded(model, boxes, p);
-        for (int q0 = p + 1; q0 < model.end; q0 += lanes) {
-            const int q = q0 + lane;
-            const bool is_near = q < model.end && gap_between(b, box_at(boxes, q)) < far * far &&
+    const int further = all_tiles.further(lane);
+    for (int t0 = 0; t0 < all_tiles.number; t0 += lanes) {
+        const bool exists = t0 + lane < all_tiles.number;
+        const int t = exists ? t0 + lane : 0, begin = all_tiles.begin(t);
+        const int last = exists ? begin + all_tiles.further(31) : 0;
+        const box<real> around = box_at(boxes.from(TILES), model.first + t);
+        for (int p = model.first + warp; p < model.end; p += warps) {  // boxes without points are far from all others
+            const box<real> b = box_at(boxes, p);
+            unsigned near = __ballot_sync(all, last > p && gap_between(b, around) < far * far);
+            if (near == 0) continue;
+            const bool folded = cell_is_folded(model, boxes, p);
+            for (; near != 0; near &= near - 1) {
+                const int q = __shfl_sync(all, begin, __ffs(near) - 1) + further;
+                const bool hit = q > p && q < model.end && gap_between(b, box_at(boxes, q)) < far * far &&
                                  !is_neighbour(model, p, q, folded);
-            unsigned hits = __ballot_sync(all, is_near);
-            while (hits != 0) {
-                const int first = __ffs(hits) - 1;
-                hits &= hits - 1;
-                const int second = __ffs(hits) - 1;  // -1: none
-                hits &= hits - 1;
-                const int mine = lane < half ? first : second, k = lane % half;
-                int one = 0, other = 0;
-                const bool may_touch = mine >= 0 && k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS) &&
-                                       pair_of(model, rest, m, p, q0 + mine, k, one, other) &&
-                                       may(one, other);
-                const unsigned found = __ballot_sync(all, may_touch);
-                if (may_touch) {
-                    int* to = waiting[warp][count + __popc(found & ((1u << lane) - 1u))];
-                    to[0] = one, to[1] = other;
-                }
-                count += __popc(found);
+                const unsigned hits = __ballot_sync(all, hit);
+                int* to = waiting[warp][count + __popc(hits & ((1u << lane) - 1u))];
+                if (hit) to[0] = p, to[1] = q;
+                count += __popc(hits);
                 __syncwarp();
-                if (count >= lanes) {
-                    count -= lanes;
-                    const int* from = waiting[warp][count + lane];
-                    list_pair(model, w, s, from[0], from[1]);
-                    __syncwarp();
-                }
+                if (count < lanes) continue;
+                count -= lanes;
+                const int* at = waiting[warp][count + lane];
+                list_pairs_of(model, w, s, boxes, m, at[0], at[1]);
+                __syncwarp();
             }
         }
     }
-    if (lane < count) list_pair(model, w, s, waiting[warp][lane][0], waiting[warp][lane][1]);
-    if (model.pitch > 0) list_folded_cells(model, w, s, rest);
+    const int* at = waiting[warp][lane];
+    if (lane < count) list_pairs_of(model, w, s, boxes, m, at[0], at[1]);
+    if (model.pitch > 0) list_folded_cells(model, w, s, boxes);
 }
 
 #else
 
-template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& model, int w) {
-    typedef decltype(Model::radius) real;
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_pairs(const Model& model, int w, const rows_of<real>& s) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> boxes(model.boxes, w), s(&boxes.at(PLACE, 0), boxes.pitch), rest(model.rest, 0),
-        m(model.inertia, w);
+    const rows_of<real> boxes(model.boxes, w), m(model.inertia, w);
     const int width = sizeof(T) / sizeof(real);
     const real far = model.contact_distance + model.contact_margin;
-    const may_meet<real> may = {s, model.pitch, far * far};
     const T limit = T(far * far);
     const auto everywhere = [](const vec<real>& x) -> vec<T> { return {T(x.x), T(x.y), T(x.z)}; };
     for (int p = model.first; p < model.end; ++p) {
@@ -429,27 +468,30 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
                 if (((const real*)&is_near)[l] == real(0) || q <= p || q >= model.end ||
                     is_neighbour(model, p, q, folded))
                     continue;
-                int one, other;
-                for (int k = 0; k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS); ++k)
-                    if (pair_of(model, rest, m, p, q, k, one, other) && may(one, other))
-                        list_pair(model, w, s, one, other);
+                list_pairs_of(model, w, s, boxes, m, p, q);
             }
         }
     }
-    if (model.pitch > 0) list_folded_cells(model, w, s, rest);
+    if (model.pitch > 0) list_folded_cells(model, w, s, boxes);
 }
 
 #endif
 
-// Lists pairs anew if a point of rows c to c + 2 has moved farther than this.
+// Lists pairs anew if a point has moved farther than this.
 template <typename Model, typename real>
-CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const wp::array_t<real>& state, int row,
-                                        int c, real far) {
-    if (!block_any(moved_on(model, w, state, row, c, far))) return;
-    begin_list(model, w, state, row, c);
+CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const rows_of<real>& s, real far) {
+#if defined(__CUDA_ARCH__)
+    const int end = threadIdx.x;
+    if (end < 2) pairs_in(model, w, NEAR).counts[end] = wp::index(model.pair_counts, w, NEAR, end);
+#endif
+    if (!block_any(moved_on(model, w, s, far))) return;
+    begin_list(model, w, s);
     block_sync();
-    list_pairs(model, w);
+    list_pairs(model, w, s);
     block_sync();
+#if defined(__CUDA_ARCH__)
+    if (end < 2) wp::index(model.pair_counts, w, NEAR, end) = pairs_in(model, w, NEAR).counts[end];
+#endif
 }
 
 // A state keeps where points were when pairs were listed.

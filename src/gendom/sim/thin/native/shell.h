@@ -141,17 +141,24 @@ CUDA_CALLABLE inline real shell_forces(const Model& model, int w, const wp::arra
     typedef typename several<real>::lanes T;
     const int pitch = model.pitch;
     const rows_of<real> s(state, row), to(state, next), shape(model.rest, 0), k(model.stiffness, w),
-        m(model.inertia, w), out(model.scratch, w);
+        m(model.inertia, w), out = shared_or(SHARED_SCRATCH, model.scratch, w);
     const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows);
     T worst = T(real(0)), sum = T(real(0));
     for (EACH_IN(p, model.first, model.end)) {
+        // all is read before anything is written: reading waits for what may have been written
         const shell_cell<T> cell(s, p, pitch, model.per_x, model.per_y);
         const T exists = shape.template get<T>(CELL, p);
-        T row_e[2], column_e[2];
-        const auto stressed = [&](const T& strain, int lag) {
-            const T late = strain - s.template get<T>(lag, p);
-            to.put(lag, p, s.template get<T>(lag, p) + a * late);
+        T lags[LAG_BEND - LAG_ROW], row_e[2], column_e[2];
+        for (int n = LAG_ROW; n < LAG_BEND; ++n) lags[n - LAG_ROW] = s.template get<T>(n, p);
+        const vec<T> lag = s.template get3<T>(LAG_BEND, p);
+        const shell_bend<T> bend(s, shape, p, pitch);
+        const bend_stiffness<T> B(k, m, p);
+        const shell_stiffness<T> C = {k.template get<T>(C11, p), k.template get<T>(C22, p),
+                                      k.template get<T>(C12, p), k.template get<T>(G12, p)};
+        const auto stressed = [&](const T& strain, int n) {
+            const T late = strain - lags[n - LAG_ROW];
+            to.put(n, p, lags[n - LAG_ROW] + a * late);
             return strain + c * late;
         };
         for (int e = 0; e < 2; ++e) {
@@ -162,19 +169,13 @@ CUDA_CALLABLE inline real shell_forces(const Model& model, int w, const wp::arra
             sum += both;
         }
         const T shear_e = stressed(cell.shear, LAG_SHEAR);
-        const shell_stiffness<T> C = {k.template get<T>(C11, p), k.template get<T>(C22, p),
-                                      k.template get<T>(C12, p), k.template get<T>(G12, p)};
         T of_row[2], of_column[2], of_shear;
         C.stress(row_e, column_e, shear_e, of_row, of_column, of_shear);
         vec<T> by_u[2], by_v[2];
         cell.edges(of_row, of_column, of_shear, by_u, by_v);
         out.put3(F_A, p, by_u[0] + by_v[0]), out.put3(F_B, p, by_v[1] - by_u[0]);
         out.put3(F_C, p, by_u[1] - by_v[0]);
-
-        const shell_bend<T> bend(s, shape, p, pitch);
-        const bend_stiffness<T> B(k, m, p);
-        const vec<T> kappa = bend.curvatures(), lag = s.template get3<T>(LAG_BEND, p);
-        const vec<T> along = B(c * (kappa - lag));
+        const vec<T> kappa = bend.curvatures(), along = B(c * (kappa - lag));
         to.put3(LAG_BEND, p, lag + a * (kappa - lag));
         out.put3(M_XX, p, B.xx * bend.xx + B.both * bend.yy + along.x * bend.n);
         out.put3(M_YY, p, B.yy * bend.yy + B.both * bend.xx + along.y * bend.n);
@@ -228,7 +229,7 @@ CUDA_CALLABLE inline void shell_move(const Model& model, int w, const wp::array_
                                      int next, real dt, real kick) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), to(state, next), shape(model.rest, 0), m(model.inertia, w),
-        in(model.scratch, w);
+        in = shared_or(SHARED_SCRATCH, model.scratch, w);
     const motion<T> go(model, w, dt, kick);
     for (EACH_IN(p, model.first, model.end)) {
         const vec<T> x = s.template get3<T>(X, p), v0 = s.template get3<T>(V, p);
