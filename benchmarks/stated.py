@@ -186,10 +186,6 @@ def evaluated(found: Any) -> dict[str, Any]:
     }
 
 
-def ablation(found: Any) -> dict[str, Any]:
-    return {name: own["200"]["mean"] for name, own in found["rows"].items()}
-
-
 def cases(found: Any) -> dict[str, Any]:
     """Of cases of mechanics: how many rows, how many pass, and relative errors [%]."""
     rows = [row for case in found["cases"] for row in case["checks"]]
@@ -336,10 +332,6 @@ FIGURES = (
     ),
     reached("reaching"),
     reached("casting"),
-    experiment("ablation-reaching", "ablation --rows inverse distal --jobs 1", ablation),
-    experiment(
-        "ablation-casting", "ablation --task rope-casting --rows inverse distal --jobs 1", ablation
-    ),
     Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
     Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
     validation("cantilever", ratios),
