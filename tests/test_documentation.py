@@ -320,11 +320,14 @@ def anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_relative_links_and_anchors_resolve(page):
+def test_links_anchors_and_named_files_are_there(page):
     for target in re.findall(r"\]\((?![a-z]+:)([^)\s]+)\)", prose(page)):
         path, _, anchor = target.partition("#")
         place = page.parent / path if path else page
         assert place.exists() and (not anchor or anchor in anchors(place)), target
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(r"`((?:src|tests|benchmarks|experiments)/[\w./-]+\.\w+)`", text)
+    assert page.name == "CHANGELOG.md" or [f for f in named if not (ROOT / f).exists()] == []
 
 
 # ---- the reference ---------------------------------------------------------------------------
