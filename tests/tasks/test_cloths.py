@@ -156,7 +156,7 @@ def test_what_is_not_spread_is_pulled_to_its_wider_side(turn):
     c, s = np.cos(turn), np.sin(turn)
     # the far corner ahead, a corner 0.7 sides to the left, and 0.3 to the right, where it is folded
     outline = side * np.array([[0.0, 0.0], [1.4, 0.0], [0.7, 0.7], [0.8, -0.3]])
-    x = np.column_stack([outline @ [[c, s], [-s, c]] + hand[:2], np.zeros(4)])
+    x = np.column_stack([outline @ [[c, s], [-s, c]] + hand[:2], [0.0, 0.0, 0.02, 0.0]])
     path = DRAGGING.next_path(DRAGGING.item, x, hand)
     (closing,) = path.events
     assert closing.closed and closing.time == path.start
@@ -165,4 +165,5 @@ def test_what_is_not_spread_is_pulled_to_its_wider_side(turn):
     way = (last - first) / np.linalg.norm(last - first)
     assert way == pytest.approx([-s, c])
     assert (x[2, :2] - first) == pytest.approx(0.06 * side * way)
+    assert path.position[:2, 2] == pytest.approx(0.02)  # where that corner stands up
     assert_within_limits(path, DRAGGING.item)

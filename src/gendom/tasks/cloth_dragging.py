@@ -143,6 +143,8 @@ class ClothDragging(ClothSpreading):
         time, out, up = np.array(PULL).T
         place = size_of(item) * np.column_stack([np.outer(out, way), up])
         place += [*x[widest, :2], max(0.5 * thickness_of(item), MIN_HEIGHT)]
+        near = np.argmin(np.linalg.norm(x[:, :2] - place[0, :2], axis=1))
+        place[:2, 2] = np.maximum(place[:2, 2], x[near, 2])  # it need not lie on the table there
         return self._path(item, time + self.end - time[-1], place, BLEND[0])
 
     def _waypoints(self, item: Item, action: Array) -> tuple[Array, Array, float]:
