@@ -31,6 +31,7 @@ from gendom.sim import (
 from gendom.tasks import ClothDragging, Observed
 from gendom.tasks.areas import spread_areas
 from gendom.tasks.cloth_dragging import MOTIONS
+from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.tasks.world import Simulation
 from gendom.viz import Animation, Layer, object_layer, save, write_film
 from gendom.viz.layers import goal_layer, observed_layer
@@ -190,7 +191,7 @@ def dragged(path: Path) -> None:
             run.step_to(float(moment))
             images.append(Image.fromarray(run.world.render(0)[1]))
     x = placed(np.linalg.inv(task.T_world_task(item)), run.world.vertices()) / size_of(item)
-    share, _ = spread_areas(x, (item.vertices, item.vertices))
+    share, _ = spread_areas(x, lattice_triangles(item.vertices, item.vertices))
     print(f"{path.name}: {share:.2f} lie spread")
     few = Image.fromarray(np.concatenate([np.asarray(images[k]) for k in (0, 20, -1)])).quantize(48)
     images = [image.quantize(palette=few, dither=Image.Dither.NONE) for image in images]

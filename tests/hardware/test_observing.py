@@ -19,6 +19,7 @@ from gendom.perception.cloud import fuse
 from gendom.robot import XARM7
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.areas import spread_areas
+from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.tasks.world import Simulation
 
 ROPE = Rope(length=0.3, diameter=0.016, material=Material(E=8.0e5, density=800.0))
@@ -124,7 +125,7 @@ def test_areas_of_a_cloth_are_those_of_its_shape(how):
                                  gripper_position=np.zeros((1, 3)), object=where)  # fmt: skip
     action = SimpleNamespace(trajectory=Trajectory(T_base_task=T))
     found = reached(task, item, cast(Any, action), seen, 0.0)
-    share, covered = spread_areas(shape.reshape(-1, 3) / 0.2, (41, 41))
+    share, covered = spread_areas(shape.reshape(-1, 3) / 0.2, lattice_triangles(41, 41))
     assert found["covered"] == pytest.approx(covered, abs=0.02)
     assert found["share"] == pytest.approx(share, abs=0.08)
     assert found["unspread"] == 1 - found["share"]

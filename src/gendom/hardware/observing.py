@@ -16,7 +16,7 @@ from gendom.errors import RecordingError
 from gendom.hardware.execution import PlannedAction
 from gendom.materials import Item, size_of, thickness_of
 from gendom.tasks import Observed, Task
-from gendom.tasks.cloth_spreading import FLAT_ANGLE, FLAT_HEIGHT
+from gendom.tasks.areas import FLAT_ANGLE, FLAT_HEIGHT
 
 FEWEST = 10
 """Points of a cloud that shows where a rope ends."""

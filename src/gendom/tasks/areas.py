@@ -3,17 +3,21 @@ of demonstrations have thousands of cloths of as many triangles."""
 
 # pyright: reportInvalidTypeForm=false
 
-import functools
 import math
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from gendom.arrays import Array
 from gendom.sim.device import load_kernels
-from gendom.tasks.cloth_spreading import FLAT_ANGLE, FLAT_HEIGHT, lattice_triangles
 
 wp.set_module_options({"enable_backward": False})
+
+FLAT_ANGLE, FLAT_HEIGHT = math.radians(20.0), 0.05
+"""What lies flat is inclined by at most this [rad], and at most so high above the table [sides]."""
 
 PIXEL = 1.0 / 500.0
 """Resolution [sides]."""
@@ -53,13 +57,13 @@ def draw(
             picture[row, column] = wp.max(picture[row, column], mark)
 
 
-@functools.cache
-def _triangles(lattice: tuple[int, int]) -> wp.array:
+@cache
+def _loaded() -> Any:
     load_kernels(draw.module, "cpu")
-    return wp.array(lattice_triangles(*lattice), dtype=LONG, device="cpu")
+    return draw
 
 
-def spread_areas(x: Array, lattice: tuple[int, int]) -> tuple[float, float]:
+def spread_areas(x: Array, triangles: NDArray[np.int64]) -> tuple[float, float]:
     """Share of a cloth that lies spread, and the area of the table under all of it [sides^2].
 
     What lies spread is smooth and free of wrinkles: the area of the table under triangles that lie
@@ -68,16 +72,16 @@ def spread_areas(x: Array, lattice: tuple[int, int]) -> tuple[float, float]:
 
     Args:
         x: [V, 3] vertices [sides]; the table is z = 0.
-        lattice: Rows and columns of the vertices.
+        triangles: [F, 3] vertices of each.
     """
-    triangles, low = _triangles(lattice), x.min(axis=0)
+    kernel, low = _loaded(), x.min(axis=0)
     width, height = (np.ptp(x[:, :2], axis=0) / PIXEL).astype(int) + 2
     picture = np.zeros((height, width), np.uint8)
+    shared = partial(wp.array, device="cpu", copy=False)
     given = (
-        wp.array(x, dtype=wp.vec3d, device="cpu", copy=False), triangles,
-        wp.vec3d(low[0], low[1], 0.0), PIXEL,
-        wp.array(picture, dtype=wp.uint8, device="cpu", copy=False),
+        shared(x, dtype=wp.vec3d), shared(triangles, dtype=LONG),
+        wp.vec3d(low[0], low[1], 0.0), PIXEL, shared(picture, dtype=wp.uint8),
     )  # fmt: skip
-    wp.launch(draw, dim=len(triangles), inputs=given, device="cpu")
+    wp.launch(kernel, dim=len(triangles), inputs=given, device="cpu")
     spread, covered = (np.count_nonzero(picture >= mark) for mark in (2, 1))
     return min(spread * PIXEL**2, 1.0), min(covered * PIXEL**2, 1.0)

@@ -17,7 +17,6 @@ No way down opens a limp cloth: see docs/tasks.md for what was measured.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -79,9 +78,6 @@ SPREAD = 0.75
 
 CHOICES = tuple(round(0.05 * k, 2) for k in range(14))
 """Values of A that demonstrations try and policies choose among."""
-
-FLAT_ANGLE, FLAT_HEIGHT = math.radians(20.0), 0.05
-"""What lies flat is inclined by at most this [rad], and at most so high above the table [sides]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +153,8 @@ class ClothSpreading(Task):
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         from gendom.tasks.areas import spread_areas  # Warp, which takes long to import
 
-        share, covered = spread_areas(seen.points[-1] / size_of(item), seen.lattice)
+        triangles = lattice_triangles(*seen.lattice)
+        share, covered = spread_areas(seen.points[-1] / size_of(item), triangles)
         return {"share": share, "unspread": 1.0 - share, "covered": covered}
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
