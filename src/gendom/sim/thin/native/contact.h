@@ -15,6 +15,7 @@ namespace gendom {
 constexpr int needed_turns = 4;
 constexpr double enough_distance = 0.9;
 
+// Whether pushes are whole numbers, see `pushes`.
 #if defined(IN_SHARED)
 template <typename real> constexpr bool IS_WHOLE = sizeof(real) == 4;
 #else

@@ -142,6 +142,7 @@ CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of
         for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
 }
 
+// Shared memory as a kernel begins.
 template <typename Model> CUDA_CALLABLE inline void begin_shared(const Model& model, int w) {
 #if defined(IN_SHARED)
     typedef decltype(Model::radius) real;
@@ -212,7 +213,6 @@ CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<rea
     pairs_in(model, w, NEAR).append(one, other);
 }
 
-
 // Whether a point is farther than this from where it was when pairs were listed. What the middle of the body has
 // moved by, all have in common, and no pair comes nearer by it.
 template <typename Model, typename real>
@@ -234,6 +234,10 @@ CUDA_CALLABLE inline int moved_on(const Model& model, int w, const rows_of<real>
 // Rows of boxes: the lowest and highest corners, bits for what begins at a point of a shell (as `rest`) and whether it
 // is folded there; and on CUDA the corners of the boxes of 32 neighbours.
 enum { BITS = 6, FOLDED = 3, TILES = 7 };
+
+template <typename real> CUDA_CALLABLE inline bool has_bit(const rows_of<real>& boxes, int i, int bit) {
+    return int(boxes.template get<real>(BITS, i)) >> bit & 1;
+}
 
 template <typename real> CUDA_CALLABLE inline box<real> box_at(const rows_of<real>& boxes, int i) {
     return {boxes.template get3<real>(0, i), boxes.template get3<real>(3, i)};
@@ -284,9 +288,6 @@ CUDA_CALLABLE inline void begin_list(const Model& model, int w, const rows_of<re
 enum { PAIRS_OF_EDGES = 9, PAIRS_OF_CELLS = 13 };
 
 // The k-th of them, in numbers of the list; tells whether it is there. Of a rod there is one.
-template <typename real> CUDA_CALLABLE inline bool has_bit(const rows_of<real>& boxes, int i, int bit) {
-    return int(boxes.template get<real>(BITS, i)) >> bit & 1;
-}
 template <typename Model, typename real>
 CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& boxes, const rows_of<real>& inertia,
                                   int p, int q, int k, int& one, int& other) {
