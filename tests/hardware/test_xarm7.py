@@ -21,7 +21,7 @@ from gendom.errors import DeviceError
 from gendom.hardware import Robot, find_robot, streamed, streaming, xarm7
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
-from gendom.robot import XARM7, GripperEvent
+from gendom.robot import XARM7, GripperEvent, joint_move
 from hardware.xarm_box import AWAY, Box, Driver, cell, ended, patient, there_and
 
 
@@ -42,7 +42,7 @@ def robot(box):
 @pytest.fixture
 def streamer(box, monkeypatch):
     monkeypatch.setattr(streaming, "BLIND", (0.15, 0.5))
-    monkeypatch.setattr(xarm7, "_QUICK", 0.5)
+    monkeypatch.setattr(xarm7, "_QUICK", 0.3)
     here = cell(box.address, tool=0.5, share=1.0)
     driver = Driver(here)
     driver.connect()
@@ -71,7 +71,7 @@ def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
         robot.play(motion)
 
     def approach(q):
-        robot.play(robot.cell.slow_move(robot.state().q, q))
+        robot.play(joint_move(XARM7, robot.state().q, q, share=0.4))
 
     def ends_by(error, match, share=0.4, after=None, on_tick=None):
         """From home, what is called in mid-motion, or a tick, ends it so."""
@@ -203,7 +203,7 @@ def test_faults_of_the_box_in_mid_motion(box, streamer, name):
         time.sleep(max(0.0, due - time.monotonic()))
     with pytest.raises(DeviceError, match=message):
         streamer.start(there_and())
-    time.sleep(0.3)
+    time.sleep(0.15)
     first = box.true
     time.sleep(0.1)
     assert box.true == pytest.approx(first, abs=1e-4)
