@@ -51,8 +51,8 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
     poses = np.empty((*q.shape[:-1], arm.joints + 2, 4, 4))
     poses[..., 0, :, :] = np.eye(4)
     for i in range(arm.joints):
-        poses[..., i + 1, :, :] = poses[..., i, :, :] @ step[..., i, :, :]
-    poses[..., -1, :, :] = poses[..., -2, :, :] @ arm.T_flange_tcp
+        np.matmul(poses[..., i, :, :], step[..., i, :, :], out=poses[..., i + 1, :, :])
+    np.matmul(poses[..., -2, :, :], arm.T_flange_tcp, out=poses[..., -1, :, :])
     return poses
 
 

@@ -403,22 +403,23 @@ def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allow
         top = np.where(turning, most / np.abs(slope), np.inf)  # -top - lean x <= u <= top - lean x
         lean = np.where(turning, curve / slope, 0.0)
         still = np.where(turning, np.inf, most / np.abs(curve)).min(axis=1)
+    # Upper bounds of u, and lower ones; the last of each says where the step leads.
+    most, least = (np.pad(bound, ((0, 0), (0, 1))) for bound in (top, -top))
+    lean_on = np.concatenate([lean, 1.0 / step[:, None]], axis=1)
+    closing = lean_on[:, :, None] - lean_on[:, None, :]
     reach = np.empty(n)
     reach[-1] = highest[-1]
-    for i in range(n - 2, -1, -1):
-        # Upper bounds of u, and lower ones; the last of each says where the step leads.
-        above = np.append(top[i], reach[i + 1] / step[i]), np.append(lean[i], 1.0 / step[i])
-        below = np.append(-top[i], 0.0), above[1]
-        room = above[0][:, None] - below[0]
-        closing = above[1][:, None] - below[1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.where(closing > 0.0, room / closing, np.inf)
-        reach[i] = min(highest[i], still[i], float(np.nanmin(ends)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in range(n - 2, -1, -1):
+            most[i, -1] = reach[i + 1] / step[i]
+            ends = (most[i][:, None] - least[i]) / closing[i]
+            ends = np.fmin.reduce(ends, axis=None, initial=np.inf, where=closing[i] > 0.0)
+            reach[i] = min(highest[i], still[i], ends)
     x = np.empty(n)
     x[0] = reach[0]
     for i in range(n - 1):
-        u = float(np.min(top[i] - lean[i] * x[i]))
-        x[i + 1] = np.clip(x[i] + step[i] * u, 0.0, reach[i + 1])
+        u = np.min(top[i] - lean[i] * x[i])
+        x[i + 1] = min(max(x[i] + step[i] * u, 0.0), reach[i + 1])
     return x
 
 
