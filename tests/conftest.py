@@ -23,6 +23,8 @@ from gendom.perception.realsense import realsense_sdk
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
+gc.disable()  # until all is imported, see `pytest_collection_finish`
+
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # programs of tests inherit that
 
@@ -103,6 +105,7 @@ def filled(scene: LiftScene, x: np.ndarray) -> np.ndarray:
 def pytest_collection_finish() -> None:
     """What is there by then stays: looking for garbage in it took a fiftieth of the time."""
     gc.freeze()
+    gc.enable()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
