@@ -191,9 +191,6 @@ def unit_of(unit: str, item: Item) -> float:
     return float(unit_of_size(unit, np.array(size_of(item))))
 
 
-_POWERS = {"m": (1.0, 0.0), "s": (0.5, -0.5), "m/s": (0.5, 0.5), "1": (0.0, 0.0)}
-
-
 def unit_of_size(unit: str, L: Array) -> Array:
     """The factor from a dimensionless number to SI units (``m``, ``s``, ``m/s`` or ``1``), for
     objects of sizes L [...] [m].
@@ -201,8 +198,9 @@ def unit_of_size(unit: str, L: Array) -> Array:
     Raises:
         ParameterError: There is no such unit.
     """
-    check_choice("unit", unit, _POWERS)
-    of_size, of_gravity = _POWERS[unit]
+    powers = {"m": (1.0, 0.0), "s": (0.5, -0.5), "m/s": (0.5, 0.5), "1": (0.0, 0.0)}
+    check_choice("unit", unit, powers)
+    of_size, of_gravity = powers[unit]
     return L**of_size * STANDARD_GRAVITY**of_gravity
 
 

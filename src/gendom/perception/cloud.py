@@ -311,8 +311,7 @@ class CameraView:
             z = (table.normal @ self.camera.position - table.offset) / slope
             band = np.maximum(_TABLE_SIGMAS * table.noise * z**2, _TABLE_CLEARANCE / slope)
             meets = (slope > 1e-6) & (z > 0)
-            top = np.where(meets, z - band, np.inf)
-            bottom = np.where(meets, z + band, np.inf)
+            top, bottom = (np.where(meets, end, np.inf) for end in (z - band, z + band))
         self._top, self._bottom = self._counts(top, np.ceil), self._counts(bottom, np.floor)
 
     def hides(self, thickness: float, depth: float) -> bool:

@@ -99,7 +99,6 @@ class ObjectColour:
 
     def match(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
         """[n] True where a colour [n, 3] is the object's."""
-        drop = 8 - _BITS
-        r, g, b = (rgb[:, k] >> drop for k in range(3))
+        r, g, b = rgb.T >> (8 - _BITS)
         index = (r.astype(np.int32) << (2 * _BITS)) | (g.astype(np.int32) << _BITS) | b
         return self.table[index]

@@ -105,8 +105,7 @@ def joint_move(
     duration = max(float(np.max(least)), 0.01)
     s = np.linspace(0.0, 1.0, 65)
     shape = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-    q = ends[0] + shape[:, None] * (ends[1] - ends[0])
-    motion = JointMotion(time=duration * s, q=q)
+    motion = JointMotion(time=duration * s, q=ends[0] + shape[:, None] * (ends[1] - ends[0]))
     # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
     slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
     motion = replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
@@ -356,7 +355,9 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
         pace = np.sqrt(_speed_profile(s, v, a, highest, arm, allowed))
         passed = np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))
         time = motion.start + np.concatenate([[0.0], passed])
-        events = tuple(replace(e, time=_at(e.time, s, time)) for e in motion.events)
+        at = np.array([e.time for e in motion.events])  # not scaled outside of the motion
+        at = np.interp(at, s, time) + at - np.clip(at, s[0], s[-1])
+        events = tuple(replace(e, time=t) for e, t in zip(motion.events, at.tolist(), strict=True))
         done = replace(motion, time=time, q=q, events=events, slowed_by=1.0)
         excess = np.abs(done.acceleration_at(done.time) / arm.max_acceleration).max(axis=1)
         done = done.stretched(max(1.0, done.slowdown(arm)))
@@ -392,7 +393,6 @@ def _speed_bounds(arm: Arm, q: Array, v: Array) -> Array:
 def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Array) -> Array:
     """Values of x at the points of the grid, [N]."""
     step = 2.0 * np.diff(s)
-    n = len(s)
     limit = allowed[:, None] * arm.max_acceleration
     # |v u + a x| <= limit where the step begins, and, x being x + step u there, where it ends.
     slope = np.concatenate([v[:-1], v[1:] + a[1:] * step[:, None]], axis=1)
@@ -407,23 +407,15 @@ def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allow
     most, least = (np.pad(bound, ((0, 0), (0, 1))) for bound in (top, -top))
     lean_on = np.concatenate([lean, 1.0 / step[:, None]], axis=1)
     closing = lean_on[:, :, None] - lean_on[:, None, :]
-    reach = np.empty(n)
-    reach[-1] = highest[-1]
+    reach = np.minimum(highest, np.append(still, np.inf))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for i in range(n - 2, -1, -1):
+        for i in reversed(range(len(step))):
             most[i, -1] = reach[i + 1] / step[i]
             ends = (most[i][:, None] - least[i]) / closing[i]
-            ends = np.fmin.reduce(ends, axis=None, initial=np.inf, where=closing[i] > 0.0)
-            reach[i] = min(highest[i], still[i], ends)
-    x = np.empty(n)
-    x[0] = reach[0]
-    for i in range(n - 1):
+            good = closing[i] > 0.0
+            reach[i] = np.fmin.reduce(ends, axis=None, initial=reach[i], where=good)
+    x = reach.copy()
+    for i in range(len(step)):
         u = np.min(top[i] - lean[i] * x[i])
         x[i + 1] = min(max(x[i] + step[i] * u, 0.0), reach[i + 1])
     return x
-
-
-def _at(moment: float, s: Array, time: Array) -> float:
-    """Motion time of a path time; before and after the motion time is not scaled."""
-    inside = np.clip(moment, s[0], s[-1])
-    return float(np.interp(inside, s, time) + moment - inside)

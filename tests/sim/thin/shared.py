@@ -107,9 +107,9 @@ def difference(losses, h):
     """Derivative at 0 of losses [S] of changes [S] by central differences, and its uncertainty by
     rounding.
 
-    Steps are up to 3 h. Short ones are rounded, in inverse proportion; how much is seen where next
-    to nothing changes. Long ones cross jumps: the longest one is taken that differs from all
-    shorter ones by no more than those are rounded.
+    Short steps are rounded, in inverse proportion; how much is seen where next to nothing changes.
+    Long ones cross jumps: the longest, up to 2 h, is taken that differs from all shorter ones by no
+    more than those are rounded.
     """
     at = 1e-3 * SIZES[0] * h * np.arange(-3.0, 4.0)
     steps = h * np.outer(SIZES, [1.0, -1.0, 2.0, -2.0])
