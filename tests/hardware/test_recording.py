@@ -127,7 +127,6 @@ def _unplugged(cameras):
         ({"number": lambda c, k: None if c == 0 and k > 15 else k + 1}, "left has given no new"),
         ({"live": _unplugged}, "right was unplugged"),
     ],
-    ids=["frozen", "silent", "unplugged"],
 )
 def test_a_camera_that_fails_stops_the_robot(record, how, words, monkeypatch):
     monkeypatch.setattr("gendom.hardware.realsense._SILENT", 0.5)
