@@ -1,5 +1,6 @@
 """What tests of several folders need: recordings, new interpreters, the RealSense SDK."""
 
+import gc
 import math
 import os
 import signal
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
@@ -22,6 +24,7 @@ from gendom.perception.realsense import realsense_sdk
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
+gc.disable()  # while modules are imported
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # programs of tests inherit that
 
@@ -99,13 +102,15 @@ def filled(scene: LiftScene, x: np.ndarray) -> np.ndarray:
     return sheet.reshape(-1, 3)
 
 
+def pytest_collection_finish() -> None:
+    gc.freeze()  # looking for garbage in what is imported took a fiftieth of the time
+    gc.enable()
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Tests of GPUs skip where there is none."""
-    if item.get_closest_marker("gpu") is not None:
-        import warp as wp
-
-        if not wp.is_cuda_available():
-            pytest.skip("no CUDA device on this machine")
+    if item.get_closest_marker("gpu") is not None and not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
 
 
 @pytest.fixture(scope="session")

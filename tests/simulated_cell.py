@@ -1,5 +1,6 @@
 """A cell of simulated devices as a file."""
 
+import re
 from pathlib import Path
 
 from gendom.reality import looking_at
@@ -22,8 +23,7 @@ def write_cell(folder: Path, *more: str, cameras: bool = True, **changed: str) -
     """cell.toml with further tables, and with lines of the first ones changed by their key."""
     text = CELL
     for key, value in changed.items():
-        lines = [f"{key} = {value}" if x.startswith(f"{key} =") else x for x in text.split("\n")]
-        text = "\n".join(lines)
+        text = re.sub(f"(?m)^{key} = .*", f"{key} = {value}", text)
     for name, side in (("left", 1.0), ("right", -1.0)) if cameras else ():
         T = looking_at((0.95, 0.65 * side, 0.55), (0.45, 0.02, 0.2))
         text += f'[[camera]]\nname = "{name}"\ndevice = "simulated"\nserial = "{name}"\n'
@@ -35,6 +35,5 @@ def write_cell(folder: Path, *more: str, cameras: bool = True, **changed: str) -
 
 def box(name, position, size):
     """A keep-out box."""
-    return (
-        f'[[box]]\nname = "{name}"\nposition = {[float(x) for x in position]}\nsize = {list(size)}'
-    )
+    place = [float(x) for x in position]
+    return f'[[box]]\nname = "{name}"\nposition = {place}\nsize = {list(size)}'

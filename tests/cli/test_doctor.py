@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from datasets.test_folder import write_ply
 from fuzz import test_readers as tiny
 from gendom import cli
 from gendom.cli.parsing import parse
@@ -20,7 +21,6 @@ from gendom.datasets.lerobot import export_recording
 from gendom.materials.estimate import Estimate
 from gendom.perception import read_camera, write_camera
 from perception import conftest as world
-from written import write_ply
 
 ASSETS = Path(str(resources.files("gendom"))) / "assets"
 DEMO = ASSETS / "demo-rope-lift.npz"

@@ -8,7 +8,16 @@ import pytest
 from gendom.datasets import Recording
 from gendom.datasets.folder import check_named, in_order, read_gripper
 from gendom.errors import RecordingError
-from written import write_ply
+
+
+def write_ply(path, points, *, text=False):
+    """Points [n, 3] as PLY: binary little endian, or exact text."""
+    name, code = ("double", "<f8") if points.dtype == np.float64 else ("float", "<f4")
+    lines = ["ply", f"format {'ascii' if text else 'binary_little_endian'} 1.0"]
+    lines += [f"element vertex {len(points)}", *(f"property {name} {axis}" for axis in "xyz")]
+    head = "\n".join([*lines, "end_header", ""])
+    rows = "".join(" ".join(map(str, point)) + "\n" for point in points.astype(code))
+    path.write_bytes(head.encode() + (rows.encode() if text else points.astype(code).tobytes()))
 
 
 @pytest.fixture

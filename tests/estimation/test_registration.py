@@ -24,7 +24,7 @@ def test_what_cameras_of_unknown_poses_see_is_moved_to_the_robot(rope_lift, sett
     """E within its interval, which is hardly wider than with calibrated cameras; points to within
     what is known of the grip, several millimetres of 30 and more. Replays use the motion that was
     found; another uncalibrated recording is registered anew."""
-    lifted = rope_lift.seen(frames=20)
+    lifted = rope_lift.seen(frames=14)
     uncalibrated = off(lifted)
     found = estimate(uncalibrated, settings)
     assert found.usable, found.verdict.reasons

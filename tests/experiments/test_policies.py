@@ -80,7 +80,8 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(runs):
     assert list(x) == [25.0, 400.0] and y[1] == error["distal, both"]
 
 
-def test_generalization_has_both_domains_and_what_r2s2r_found(runs):
+def test_generalization_has_both_domains_and_what_r2s2r_found(runs, monkeypatch):
+    monkeypatch.setattr("experiments.generalization.IDENTIFIED_FROM", 6)
     settings = ablation_module.Settings(
         demonstrations=100, epochs=3, goals=(6,), seeds=1, steps=20, refine=1
     )
@@ -142,8 +143,8 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
 
 def test_r2s2r_explains_one_object():
     there = with_dimensionless(ROPE, {"bending_ratio": 0.5, "damping": 0.03})
-    actions = TASK.sample_actions(there, np.random.default_rng(0), 20)
-    outcomes = Throws().carry_out(TASK, [there] * 20, actions)
+    actions = TASK.sample_actions(there, np.random.default_rng(0), 8)
+    outcomes = Throws().carry_out(TASK, [there] * 8, actions)
     seen = [
         (ROPE, Execution(action=a, reached=np.array([o.values["x"]])))
         for a, o in zip(actions, outcomes, strict=True)
@@ -153,7 +154,7 @@ def test_r2s2r_explains_one_object():
     E, damping = (found.parameters[n] for n in ("bending_ratio", "damping"))
     value = 0.6 * np.log(E / 0.4) - 6.0 * (damping - 0.02)
     assert value == pytest.approx(0.6 * np.log(0.5 / 0.4) - 6.0 * 0.01, abs=1e-3)
-    assert found.misfit < 1e-4 and found.executions == 20
+    assert found.misfit < 1e-4 and found.executions == 8
     assert identify(TASK, seen, world=Throws()) == found
     # nothing to learn from is told
     with pytest.raises(ParameterError, match="no executions"):

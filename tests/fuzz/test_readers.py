@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from datasets.test_clouds import ENCODINGS, at_rest, pcd, rows
+from datasets.test_folder import write_ply
 from gendom.cli.recognised import look
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.demonstrations import generate, load, read_description
@@ -37,7 +38,6 @@ from gendom.robot.motion import read_joints
 from gendom.robot.motions import LiftMotion, predefined_lift
 from simulated_cell import write_cell
 from throwing import Throwing
-from written import write_ply
 
 LONGEST, MOST_MEMORY = 2.0, 500e3
 """Of a case [s of this process], and of all [KiB more than before]."""

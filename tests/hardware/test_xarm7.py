@@ -10,7 +10,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from gendom.errors import DeviceError
 from gendom.hardware import Robot, find_robot, streamed, streaming, xarm7
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
-from gendom.robot import XARM7, GripperEvent
+from gendom.robot import XARM7, GripperEvent, joint_move
 from hardware.xarm_box import AWAY, Box, Driver, cell, ended, patient, there_and
 
 
@@ -42,7 +42,7 @@ def robot(box):
 @pytest.fixture
 def streamer(box, monkeypatch):
     monkeypatch.setattr(streaming, "BLIND", (0.15, 0.5))
-    monkeypatch.setattr(xarm7, "_QUICK", 0.5)
+    monkeypatch.setattr(xarm7, "_QUICK", 0.3)
     here = cell(box.address, tool=0.5, share=1.0)
     driver = Driver(here)
     driver.connect()
@@ -55,8 +55,7 @@ def streamer(box, monkeypatch):
 
 def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
     """One after the other, since each robot is a process of its own."""
-    either: Any = robot
-    assert isinstance(either, Robot)
+    assert isinstance(cast(Any, robot), Robot)
     assert robot.state().q == pytest.approx(XARM7.home, abs=1e-4)
     assert robot.state().opening == pytest.approx(0.084, abs=1e-3)
     motion, ticks = there_and(), []
@@ -71,7 +70,7 @@ def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
         robot.play(motion)
 
     def approach(q):
-        robot.play(robot.cell.slow_move(robot.state().q, q))
+        robot.play(joint_move(XARM7, robot.state().q, q, share=0.4))
 
     def ends_by(error, match, share=0.4, after=None, on_tick=None):
         """From home, what is called in mid-motion, or a tick, ends it so."""
@@ -152,7 +151,6 @@ def test_without_its_sdk_a_robot_says_what_to_install(monkeypatch, name, module,
         ("v1.12.10", lambda box: box.fail(1), "C1: The Emergency Stop Button"),
         ("v1.12.10", lambda box: setattr(box, "reports", 0), "no reports arrive"),
     ],
-    ids=["refused", "old firmware", "emergency stop", "no reports"],
 )
 def test_what_is_said_when_connecting_fails(version, prepare, message):
     before = socket.getdefaulttimeout()
@@ -176,17 +174,13 @@ def test_a_silent_box_is_given_up(box, monkeypatch):
 # ---- faults in mid-motion, with the SDK in this process ------------------------------------------
 
 
-def shown(**state):
-    return lambda box: vars(box).update(state)
-
-
 FAULTS = {
-    "silent": (shown(silent=True), "does not answer|ms old"),
+    "silent": (lambda box: setattr(box, "silent", True), "does not answer|ms old"),
     "dies": (Box.die, "does not answer|refuses|ms old"),
-    "off": (shown(off=np.full(7, 0.1)), "degrees off its commands"),
+    "off": (lambda box: setattr(box, "off", np.full(7, 0.1)), "degrees off its commands"),
     "C31": (lambda box: box.fail(31), "C31: Collision"),
-    "other mode": (shown(mode=2), "something else set mode 2"),
-    "paused": (shown(state=3), "state 3"),
+    "other mode": (lambda box: setattr(box, "mode", 2), "something else set mode 2"),
+    "paused": (lambda box: setattr(box, "state", 3), "state 3"),
 }
 
 
@@ -203,7 +197,7 @@ def test_faults_of_the_box_in_mid_motion(box, streamer, name):
         time.sleep(max(0.0, due - time.monotonic()))
     with pytest.raises(DeviceError, match=message):
         streamer.start(there_and())
-    time.sleep(0.3)
+    time.sleep(0.15)
     first = box.true
     time.sleep(0.1)
     assert box.true == pytest.approx(first, abs=1e-4)

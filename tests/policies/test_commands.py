@@ -11,7 +11,7 @@ import pytest
 from gendom import cli
 from gendom.cli.act import result_text
 from gendom.datasets.demonstrations import generate
-from gendom.errors import PolicyError
+from gendom.errors import PolicyError, RobotError
 from gendom.files import write_json
 from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.execution import read_action
@@ -40,13 +40,19 @@ def estimated(sd=0.068, **known):
 
 
 ESTIMATE = estimated()
-PLANS: dict[str, PlannedMotion] = {}
+PLANS: dict[str, PlannedMotion | RobotError] = {}
 
 
 def plan_once(cell, path, *, plan=Cell.plan, **how):
     """As `Cell.plan`, which takes a second, once for each path: most tests act alike."""
     key = repr((cell.path, cell.arm, path.to_dict(), how))
-    return PLANS.get(key) or PLANS.setdefault(key, plan(cell, path, **how))
+    try:
+        found = PLANS.get(key) or PLANS.setdefault(key, plan(cell, path, **how))
+    except RobotError as error:
+        found = PLANS[key] = error
+    if isinstance(found, RobotError):
+        raise found
+    return found
 
 
 def told(capsys, words, code):

@@ -65,7 +65,7 @@ def mean_error(policy: Policy) -> float:
 @pytest.fixture(scope="module")
 def distal(tmp_path_factory) -> Policy:
     path = tmp_path_factory.mktemp("policy") / "distal.onnx"
-    return train(toy(1200), path, Training(epochs=40))
+    return train(toy(1200), path, Training(epochs=20, batch_size=128))
 
 
 def test_distal_reaches_goals_where_the_mean_action_does_not(distal, tmp_path):
@@ -79,7 +79,7 @@ def test_distal_reaches_goals_where_the_mean_action_does_not(distal, tmp_path):
 
 
 def test_risky_actions_are_avoided_and_what_they_reach_is_not_learnt(distal, tmp_path):
-    careful = train(toy(1000, risky=True), tmp_path / "p.onnx", Training(epochs=60))
+    careful = train(toy(1000, risky=True), tmp_path / "p.onnx", Training(epochs=20, batch_size=128))
     cases = toy(300, seed=1)
     risky = acted(careful, cases)[:, 0] > CENTRE[0]
     assert risky.mean() < 0.05
@@ -173,7 +173,7 @@ def needed(E):
 
 
 def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
-    settings = Training(epochs=25, method="chance")
+    settings = Training(epochs=8, batch_size=128, method="chance")
     policy = train(tries(2000), tmp_path / "spread.onnx", settings)
     E = np.linspace(0.07, 0.14, 60)
     A = policy.actions(np.empty((60, 0)), {"bending_ratio": E})[:, 0]
@@ -196,7 +196,7 @@ def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
 
 def test_what_is_likely_enough_in_both_worlds_is_chosen(tmp_path):
     """In the other world only a small A is enough, whatever the stiffness."""
-    settings = Training(epochs=25, method="chance")
+    settings = Training(epochs=12, batch_size=128, method="chance")
     known = tries(100, seed=3)
     other = replace(known, risk=np.where(known.action[:, 0] < 0.42, 0.1, 0.6))
     policy = train(tries(2000), tmp_path / "both.onnx", settings, finetune=other)
@@ -209,7 +209,7 @@ def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)
     real = replace(real, goal=real.goal + 0.03).chosen(real.parameters["bending_ratio"] < 0.35)
-    how = Training(epochs=40, finetune_steps=500)
+    how = Training(epochs=20, finetune_steps=500, batch_size=128)
     tuned = train(toy(1200), tmp_path / "p.onnx", how, finetune=real)
     about, new = tuned.description.training, toy(500, seed=1)
     assert (about["demonstrations"], about["finetuned_on"]) == (1200, len(real))
@@ -238,7 +238,7 @@ def test_bad_settings_are_refused(settings, text):
         Training(**settings)
 
 
-BRIEF = Training(epochs=4, refine=2, refine_cases=100, refine_steps=100, seed=1)
+BRIEF = Training(epochs=4, refine=2, refine_cases=100, refine_steps=80, seed=1)
 """Too short for its method to learn the task."""
 
 

@@ -15,7 +15,7 @@ from gendom.reality.world import FINGER_WIDTH
 from gendom.robot import XARM7, LiftMotion, predefined_lift, tcp_pose
 
 ROPE = cast(RealRope, OBJECTS["rope-polyester"])
-RATE = 4.0
+RATE = 2.5
 
 
 def small(camera):

@@ -76,8 +76,8 @@ CORNERS = [[0.4, -0.1, 0.2], [0.6, -0.1, 0.2], [0.6, 0.1, 0.2], [0.4, 0.1, 0.2]]
         (make_path(0.05 * np.arange(4.0), CORNERS, max_blend=0.02), 2.0),
         (lift([0.45, 0, 0.02], height=0.225, speed=10.0, wait=0.5, after=0.5), 1.45),
         # 0.1 mm before the stretched arm, where some millimetres turn a joint by 0.4 rad
-        (make_path([0, 1], [[0.3582, -0.1781, 0.42407], [0.81091, -0.4031, 0.42407]],
-                   np.sqrt([0.0, 0.5, 0.0, 0.5])), 2.2),
+        (make_path([0, 0.4], [[0.66, -0.32813, 0.42407], [0.81091, -0.4031, 0.42407]],
+                   np.sqrt([0.0, 0.5, 0.0, 0.5])), 0.93),
     ],
     ids=["line", "corners", "lift", "to the end of reach"],
 )  # fmt: skip
@@ -106,20 +106,20 @@ def test_when_a_path_begins_changes_nothing():
 
 def test_path_out_of_reach_names_its_time(monkeypatch):
     monkeypatch.setattr(planning, "_POSTURES", 2)
-    path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
+    path = make_path([0, 0.5], [[0.62, 0, 0.2], [0.77, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
         follow(XARM7, path)
     with pytest.raises(RobotError, match="out of reach"):
         follow(XARM7, replace(path, position=path.position[::-1]))
     # what is reached slowly, beside joints' ends, is not out of reach: here the hand meets the arm
-    over = make_path([0, 2], [[0.3, 0, 0.3], [-0.3, 0, 0.3]], blend=0.2)
+    over = make_path([0, 0.6], [[0.15, 0, 0.3], [-0.05, 0, 0.3]], blend=0.2)
     with pytest.raises(RobotError, match=r"and left pad back are 22\.\d mm too near"):
         follow(XARM7, over)
     search = planning.descend
 
     def jumping(arm, T, q, rest, **how):
-        """From x = 0.55 m on joint 2 turns by half a radian."""
-        if T[0, 0, 3] < 0.55:
+        """From x = 0.64 m on joint 2 turns by half a radian."""
+        if T[0, 0, 3] < 0.64:
             return search(arm, T, q, rest, **how)
         return q + 0.5 * np.eye(7)[1], np.zeros((len(q), 6))
 

@@ -179,7 +179,9 @@ def fit_table(
         coefficients = np.linalg.lstsq(design[keep], z[keep], rcond=None)[0]
         residual = z - design @ coefficients
         spread = 1.4826 * np.median(np.abs(residual[keep] - np.median(residual[keep])))
-        keep = np.abs(residual) < max(2.5 * spread, 5e-4)
+        before, keep = keep, np.abs(residual) < max(2.5 * spread, 5e-4)
+        if (keep == before).all():  # it would stay so
+            break
     a, b, c = coefficients
     normal = np.array([-a, -b, 1.0]) / np.sqrt(1.0 + a * a + b * b)
     if normal[2] < np.cos(_MAX_TILT):
@@ -309,8 +311,7 @@ class CameraView:
             z = (table.normal @ self.camera.position - table.offset) / slope
             band = np.maximum(_TABLE_SIGMAS * table.noise * z**2, _TABLE_CLEARANCE / slope)
             meets = (slope > 1e-6) & (z > 0)
-            top = np.where(meets, z - band, np.inf)
-            bottom = np.where(meets, z + band, np.inf)
+            top, bottom = (np.where(meets, end, np.inf) for end in (z - band, z + band))
         self._top, self._bottom = self._counts(top, np.ceil), self._counts(bottom, np.floor)
 
     def hides(self, thickness: float, depth: float) -> bool:
@@ -512,12 +513,13 @@ def _box_depths(
     position: np.ndarray, directions: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depths [n] [m] at which rays enter and leave a box; entry beyond exit where they miss it."""
+    near, far = np.zeros(len(directions)), np.full(len(directions), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low - position) / directions, (high - position) / directions
-    # A ray along a face of the box gives 0 / 0 there: that face does not bound it.
-    near = np.nan_to_num(np.minimum(a, b), nan=-np.inf, neginf=-np.inf, posinf=np.inf).max(axis=1)
-    far = np.nan_to_num(np.maximum(a, b), nan=np.inf, neginf=-np.inf, posinf=np.inf).min(axis=1)
-    return np.maximum(near, 0.0), far
+        for at, way, least, most in zip(position, directions.T, low, high, strict=True):
+            a, b = (least - at) / way, (most - at) / way
+            # A ray along a face of the box gives 0 / 0 there: that face does not bound it.
+            near, far = np.fmax(near, np.minimum(a, b)), np.fmin(far, np.maximum(a, b))
+    return near, far
 
 
 def _voxel_means(

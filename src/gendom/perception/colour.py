@@ -9,6 +9,7 @@ definition of L*a*b*. Colours on that line also belong to the object.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +53,13 @@ def lab(rgb: npt.ArrayLike) -> Array:
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
+@cache
+def _colours() -> Array:
+    """[2^18, 3] L*, a*, b* in the middle of each entry of a table of colours."""
+    middle = (np.arange(1 << _BITS) + 0.5) * (256 >> _BITS) - 0.5
+    return lab(np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3))
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectColour:
     """All colours near a reference."""
@@ -78,12 +86,9 @@ class ObjectColour:
         what = f"colour tolerance {tolerance}, lightness weight {lightness_weight}"
         fix = "give a tolerance above 0 and a weight of 0 or more"
         require(tolerance > 0.0 and lightness_weight >= 0.0, what, fix=fix)
-        middle = (np.arange(1 << _BITS) + 0.5) * (256 >> _BITS) - 0.5
-        rgb = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
-        at = np.asarray(reference, dtype=np.float64)
+        at, colours = np.asarray(reference, dtype=np.float64), _colours()
         hue = 2.0 if np.hypot(at[1], at[2]) < _NEUTRAL else 1.0
         weight, black = np.array([lightness_weight, hue, hue]), np.array([-16.0, 0.0, 0.0])
-        colours = lab(rgb)
         own = (((colours - at) * weight) ** 2).sum(axis=1) <= tolerance**2
         if lightness_weight < 1.0:
             ray, seen = (at - black) * weight, (colours - black) * weight
@@ -94,7 +99,6 @@ class ObjectColour:
 
     def match(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
         """[n] True where a colour [n, 3] is the object's."""
-        drop = 8 - _BITS
-        r, g, b = (rgb[:, k] >> drop for k in range(3))
+        r, g, b = rgb.T >> (8 - _BITS)
         index = (r.astype(np.int32) << (2 * _BITS)) | (g.astype(np.int32) << _BITS) | b
         return self.table[index]

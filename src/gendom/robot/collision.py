@@ -281,7 +281,8 @@ class CollisionChecker:
         first, second = self._first, self._second
         found = np.empty((len(q), len(self.pairs)))
         own = found[:, : len(first)]
-        own[:] = np.linalg.norm(middle[:, first] - middle[:, second], axis=-1)
+        axes = np.moveaxis(middle, -1, 0).copy()  # NumPy picks numbers quicker than points
+        own[:] = np.sqrt(sum((x[:, first] - x[:, second]) ** 2 for x in axes))
         own -= half[:, first] + half[:, second]
         row, pair = np.nonzero(own < near[: len(first)])
         a, b = first[pair], second[pair]

@@ -44,15 +44,14 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
     """
     q = arm.check_q(q)
     c, s = np.cos(q)[..., None], np.sin(q)[..., None]
-    step = np.empty((*q.shape, 4, 4))
-    step[...] = arm.T_links
+    step = np.broadcast_to(arm.T_links, (*q.shape, 4, 4)).copy()
     x, y = arm.T_links[..., 0], arm.T_links[..., 1]
     step[..., 0], step[..., 1] = c * x + s * y, c * y - s * x
     poses = np.empty((*q.shape[:-1], arm.joints + 2, 4, 4))
     poses[..., 0, :, :] = np.eye(4)
     for i in range(arm.joints):
-        poses[..., i + 1, :, :] = poses[..., i, :, :] @ step[..., i, :, :]
-    poses[..., -1, :, :] = poses[..., -2, :, :] @ arm.T_flange_tcp
+        np.matmul(poses[..., i, :, :], step[..., i, :, :], out=poses[..., i + 1, :, :])
+    np.matmul(poses[..., -2, :, :], arm.T_flange_tcp, out=poses[..., -1, :, :])
     return poses
 
 
@@ -158,8 +157,7 @@ def descend(
         their pose at most that, as a last step squares it.
     """
     q = np.clip(q, arm.q_min, arm.q_max)
-    active = np.arange(len(q))
-    error = np.empty((len(q), 6))
+    active, error = np.arange(len(q)), np.empty((len(q), 6))
     for k in range(iterations):
         poses = link_poses(arm, here := q[active])
         error[active] = off = pose_error(T_base_tcp[active], poses[:, -1])

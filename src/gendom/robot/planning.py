@@ -105,8 +105,7 @@ def joint_move(
     duration = max(float(np.max(least)), 0.01)
     s = np.linspace(0.0, 1.0, 65)
     shape = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-    q = ends[0] + shape[:, None] * (ends[1] - ends[0])
-    motion = JointMotion(time=duration * s, q=q)
+    motion = JointMotion(time=duration * s, q=ends[0] + shape[:, None] * (ends[1] - ends[0]))
     # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
     slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
     motion = replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
@@ -352,7 +351,9 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
         pace = np.sqrt(_speed_profile(s, v, a, highest, arm, allowed))
         passed = np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))
         time = motion.start + np.concatenate([[0.0], passed])
-        events = tuple(replace(e, time=_at(e.time, s, time)) for e in motion.events)
+        at = np.array([e.time for e in motion.events])  # not scaled outside of the motion
+        at = np.interp(at, s, time) + at - np.clip(at, s[0], s[-1])
+        events = tuple(replace(e, time=t) for e, t in zip(motion.events, at.tolist(), strict=True))
         done = replace(motion, time=time, q=q, events=events, slowed_by=1.0)
         excess = np.abs(done.acceleration_at(done.time) / arm.max_acceleration).max(axis=1)
         done = done.stretched(max(1.0, done.slowdown(arm)))
@@ -388,7 +389,6 @@ def _speed_bounds(arm: Arm, q: Array, v: Array) -> Array:
 def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Array) -> Array:
     """Values of x at the points of the grid, [N]."""
     step = 2.0 * np.diff(s)
-    n = len(s)
     limit = allowed[:, None] * arm.max_acceleration
     # |v u + a x| <= limit where the step begins, and, x being x + step u there, where it ends.
     slope = np.concatenate([v[:-1], v[1:] + a[1:] * step[:, None]], axis=1)
@@ -399,26 +399,19 @@ def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allow
         top = np.where(turning, most / np.abs(slope), np.inf)  # -top - lean x <= u <= top - lean x
         lean = np.where(turning, curve / slope, 0.0)
         still = np.where(turning, np.inf, most / np.abs(curve)).min(axis=1)
-    reach = np.empty(n)
-    reach[-1] = highest[-1]
-    for i in range(n - 2, -1, -1):
-        # Upper bounds of u, and lower ones; the last of each says where the step leads.
-        above = np.append(top[i], reach[i + 1] / step[i]), np.append(lean[i], 1.0 / step[i])
-        below = np.append(-top[i], 0.0), above[1]
-        room = above[0][:, None] - below[0]
-        closing = above[1][:, None] - below[1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = np.where(closing > 0.0, room / closing, np.inf)
-        reach[i] = min(highest[i], still[i], float(np.nanmin(ends)))
-    x = np.empty(n)
-    x[0] = reach[0]
-    for i in range(n - 1):
-        u = float(np.min(top[i] - lean[i] * x[i]))
-        x[i + 1] = np.clip(x[i] + step[i] * u, 0.0, reach[i + 1])
+    # Upper bounds of u, and lower ones; the last of each says where the step leads.
+    most, least = (np.pad(bound, ((0, 0), (0, 1))) for bound in (top, -top))
+    lean_on = np.concatenate([lean, 1.0 / step[:, None]], axis=1)
+    closing = lean_on[:, :, None] - lean_on[:, None, :]
+    reach = np.minimum(highest, np.append(still, np.inf))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in reversed(range(len(step))):
+            most[i, -1] = reach[i + 1] / step[i]
+            ends = (most[i][:, None] - least[i]) / closing[i]
+            good = closing[i] > 0.0
+            reach[i] = np.fmin.reduce(ends, axis=None, initial=reach[i], where=good)
+    x = reach.copy()
+    for i in range(len(step)):
+        u = np.min(top[i] - lean[i] * x[i])
+        x[i + 1] = min(max(x[i] + step[i] * u, 0.0), reach[i + 1])
     return x
-
-
-def _at(moment: float, s: Array, time: Array) -> float:
-    """Motion time of a path time; before and after the motion time is not scaled."""
-    inside = np.clip(moment, s[0], s[-1])
-    return float(np.interp(inside, s, time) + moment - inside)

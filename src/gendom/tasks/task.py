@@ -342,7 +342,8 @@ class Task(ABC):
     @classmethod
     def action_units(cls, item: Item) -> Array:
         """[A] units of similarity of an action in SI."""
-        return np.array([unit_of(q.unit, item) for q in cls.actions])
+        units = {unit: unit_of(unit, item) for unit in {q.unit for q in cls.actions}}
+        return np.array([units[q.unit] for q in cls.actions])
 
     @classmethod
     def goal_units(cls, item: Item) -> Array:
