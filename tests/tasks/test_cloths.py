@@ -96,6 +96,8 @@ def assert_within_limits(path, item):
 @pytest.mark.parametrize("side", [0.2, 0.5])
 def test_every_motion_keeps_the_tool_s_limits_and_what_takes_too_long_is_refused(side):
     item = replace(DRAGGING.item, side=side)
+    of_hold_and_time = DRAGGING.action_units(item)[[0, 4]]
+    assert of_hold_and_time == pytest.approx([side, (side / STANDARD_GRAVITY) ** 0.5])
     low, high = DRAGGING.limits(item).T
     with pytest.raises(ParameterError, match="take at most"):
         DRAGGING.check_action(item, high)
