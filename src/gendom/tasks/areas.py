@@ -25,6 +25,7 @@ PIXEL = 1.0 / 500.0
 REAL, LONG = wp.float64, wp.int64
 UP = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
 STEEPEST, HIGHEST = wp.constant(REAL(math.cos(FLAT_ANGLE))), wp.constant(REAL(FLAT_HEIGHT))
+SIZE = wp.constant(REAL(PIXEL))
 COVERED, SPREAD = wp.constant(wp.uint8(1)), wp.constant(wp.uint8(2))
 
 
@@ -33,7 +34,6 @@ def draw(
     x: wp.array(dtype=wp.vec3d),
     triangles: wp.array2d(dtype=LONG),
     origin: wp.vec3d,
-    pixel: REAL,
     picture: wp.array2d(dtype=wp.uint8),
 ):
     """Marks what a triangle covers, row by row; a border covers the pixel that it crosses."""
@@ -44,7 +44,7 @@ def draw(
     mark = COVERED
     if upright >= STEEPEST and wp.max(a[2], wp.max(b[2], c[2])) <= HIGHEST:
         mark = SPREAD
-    u, v = corners[0] / pixel, corners[1] / pixel
+    u, v = corners[0] / SIZE, corners[1] / SIZE
     for row in range(int(wp.round(wp.min(v))), int(wp.round(wp.max(v))) + 1):
         left, right = REAL(1e9), REAL(-1e9)
         for k in range(3):
@@ -80,8 +80,8 @@ def spread_areas(x: Array, triangles: NDArray[np.int64]) -> tuple[float, float]:
     shared = partial(wp.array, device="cpu", copy=False)
     given = (
         shared(x, dtype=wp.vec3d), shared(triangles, dtype=LONG),
-        wp.vec3d(low[0], low[1], 0.0), PIXEL, shared(picture, dtype=wp.uint8),
+        wp.vec3d(low[0], low[1], 0.0), shared(picture, dtype=wp.uint8),
     )  # fmt: skip
     wp.launch(kernel, dim=len(triangles), inputs=given, device="cpu")
-    spread, covered = (np.count_nonzero(picture >= mark) for mark in (2, 1))
+    spread, covered = (np.count_nonzero(picture >= mark.value) for mark in (SPREAD, COVERED))
     return min(spread * PIXEL**2, 1.0), min(covered * PIXEL**2, 1.0)

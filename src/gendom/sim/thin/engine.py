@@ -425,7 +425,7 @@ class ThinEngine(Engine):
         device, m = self.setting.device, self.model
         if m.kind == "rod" or not device.is_cuda:
             return 0, 0
-        room = (m.scratch_rows + 1) * m.row_length
+        room = ShellModel.shared_rows * m.row_length
         taken = room * np.dtype(self.setting.dtype).itemsize + OTHER_SHARED
         blocks = min(device.max_shared_memory_per_block // taken, 2)
         return m.row_length * min(blocks, 1), blocks

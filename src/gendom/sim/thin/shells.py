@@ -32,6 +32,8 @@ class ShellModel:
     directed: ClassVar = False
     state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 21, 33
     threads_on_cuda: ClassVar = 256
+    shared_rows: ClassVar = 22
+    """``SHARED_ROWS`` of ``native/contact_lists.h``."""
     cfl, undamped_cfl = 0.8, 0.4
     """As of rods; undamped, nonlinear ones gain energy in longer steps (benchmarks/swing.py)."""
     woven: ClassVar[tuple[str, ...]] = WEAVE

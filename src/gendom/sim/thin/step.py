@@ -48,7 +48,7 @@ def make_kernels(
     ThinModel, ModelAdjoint, ThinRun = types.ThinModel, types.ModelAdjoint, types.ThinRun
     vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
     IN_SHARED_MEMORY = wp.constant(row_length > 0)
-    numbers = wp.constant(row_length * (ShellModel.scratch_rows + 1))
+    numbers = wp.constant(row_length * ShellModel.shared_rows)
     limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
 
     @wp.func
